@@ -1,0 +1,236 @@
+"""Triangle meshes: reading, checking, normalising, simplifying."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import igl
+import numpy as np
+import trimesh
+from jaxtyping import Float, Int
+
+from gensp.errors import DegenerateMesh, NotGenusZero, UnreadableMesh
+from gensp.files import atomic_path
+
+FORMATS = (".ply", ".obj", ".off", ".stl")
+SPHERE_AREA = 4 * np.pi
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A triangle mesh: positions (n, 3) in float64 and faces (m, 3) in int64."""
+
+    vertices: Float[np.ndarray, "n 3"]
+    faces: Int[np.ndarray, "m 3"]
+    name: str = "mesh"
+
+    @cached_property
+    def face_areas(self) -> Float[np.ndarray, " m"]:
+        """Area of every face."""
+        return igl.doublearea(self.vertices, self.faces).reshape(-1) / 2
+
+    @property
+    def area(self) -> float:
+        """Total area."""
+        return float(self.face_areas.sum())
+
+    @cached_property
+    def face_normals(self) -> Float[np.ndarray, "m 3"]:
+        """Unit normals of the faces; zero where a face is degenerate."""
+        return igl.per_face_normals(self.vertices, self.faces, np.zeros(3))
+
+    @cached_property
+    def vertex_normals(self) -> Float[np.ndarray, "n 3"]:
+        """Area-weighted unit normals at the vertices."""
+        return igl.per_vertex_normals(self.vertices, self.faces)
+
+    @cached_property
+    def edges(self) -> Int[np.ndarray, "e 2"]:
+        """Undirected edges, each once."""
+        return igl.edges(self.faces)
+
+    @property
+    def euler(self) -> int:
+        """Euler characteristic of the vertices in use: 2 for a sphere."""
+        return len(np.unique(self.faces)) - len(self.edges) + len(self.faces)
+
+    def with_vertices(self, vertices: Float[np.ndarray, "n 3"], name: str | None = None) -> "Mesh":
+        """The same triangulation at other positions."""
+        return Mesh(vertices, self.faces, self.name if name is None else name)
+
+
+def load_mesh(path: Path | str, *, max_faces: int | None = None) -> Mesh:
+    """Read a ply, obj, off or stl file; the vertex order of the file is kept.
+
+    An stl file names no shared vertices, so its identical corners are merged.
+
+    Raises
+    ------
+    UnreadableMesh
+        The file is missing, empty, damaged, of another format, or holds no triangles.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in FORMATS:
+        raise UnreadableMesh(
+            f"{path}: format '{path.suffix}' is not read; one of {', '.join(FORMATS)} is "
+            "required; convert the file"
+        )
+    if not path.is_file() or path.stat().st_size == 0:
+        found = "is empty" if path.is_file() else "does not exist"
+        raise UnreadableMesh(f"{path}: {found}; a triangle mesh is required; remove or replace it")
+    try:
+        loaded: Any = trimesh.load(path, process=False, force="mesh", maintain_order=True)
+        vertices = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)
+        faces = np.asarray(loaded.faces, dtype=np.int64).reshape(-1, 3)
+    # Readers of damaged files raise whatever their parser met; the file is at fault in each case.
+    except Exception as error:
+        raise UnreadableMesh(
+            f"{path}: cannot be read ({type(error).__name__}: {str(error)[:80]}); a whole "
+            f"{path.suffix[1:]} file is required; export it again"
+        ) from error
+    if len(faces) == 0:
+        raise UnreadableMesh(f"{path}: holds no triangles; a triangle mesh is required")
+    if path.suffix.lower() == ".stl":
+        vertices, faces = _welded(vertices, faces)
+    return Mesh(vertices, faces, path.stem)
+
+
+def _welded(
+    vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
+) -> tuple[Float[np.ndarray, "k 3"], Int[np.ndarray, "m 3"]]:
+    unique, inverse = np.unique(vertices, axis=0, return_inverse=True)
+    return unique, inverse.reshape(-1)[faces].astype(np.int64)
+
+
+def save_mesh(mesh: Mesh, path: Path | str) -> None:
+    """Write a mesh in the format of the suffix, whole or not at all."""
+    with atomic_path(path) as temporary:
+        trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(temporary)
+
+
+def require_genus_zero(mesh: Mesh, *, max_faces: int = 200_000) -> None:
+    """Check that a mesh is one closed, oriented, genus-0 manifold with sound triangles.
+
+    Raises
+    ------
+    DegenerateMesh
+        Too few or too many faces, coordinates that are not numbers, triangles without area.
+    NotGenusZero
+        Open, non-manifold, inconsistently oriented or inside-out, in several components, or of
+        higher genus.
+    """
+    _require_sound_triangles(mesh, max_faces)
+    _require_closed_manifold(mesh)
+    components = int(igl.facet_components(mesh.faces)[0])
+    if components > 1:
+        raise NotGenusZero(
+            f"{mesh.name}: {components} connected components; exactly one is required; keep the "
+            "largest or join them, or set shapes.on_bad=skip"
+        )
+    if mesh.euler != 2:
+        raise NotGenusZero(
+            f"{mesh.name}: Euler characteristic {mesh.euler} (genus {1 - mesh.euler // 2}); genus "
+            "0 is required; cut the handles and close them, or set shapes.on_bad=skip"
+        )
+    if _signed_volume(mesh) <= 0:
+        raise NotGenusZero(
+            f"{mesh.name}: the faces look inwards (signed volume {_signed_volume(mesh):.3g}); "
+            "outward orientation is required; flip all faces, or set shapes.on_bad=skip"
+        )
+
+
+def _require_sound_triangles(mesh: Mesh, max_faces: int) -> None:
+    remedy = "or set shapes.on_bad=skip"
+    if len(mesh.faces) > max_faces:
+        raise DegenerateMesh(
+            f"{mesh.name}: {len(mesh.faces)} faces; at most {max_faces} are taken; simplify it, "
+            f"raise shapes.max_faces, {remedy}"
+        )
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        raise DegenerateMesh(
+            f"{mesh.name}: a face names vertex {mesh.faces.max()} of {len(mesh.vertices)}; indices "
+            f"within the vertex list are required; export it again, {remedy}"
+        )
+    if not np.isfinite(mesh.vertices).all():
+        count = int((~np.isfinite(mesh.vertices).all(axis=1)).sum())
+        raise DegenerateMesh(
+            f"{mesh.name}: {count} vertices are not finite numbers; finite coordinates are "
+            f"required; export it again, {remedy}"
+        )
+    if len(mesh.faces) < 4:
+        raise DegenerateMesh(
+            f"{mesh.name}: {len(mesh.faces)} faces; a closed surface has at least 4; replace it, "
+            f"{remedy}"
+        )
+    _require_area(mesh, remedy)
+
+
+def _require_area(mesh: Mesh, remedy: str) -> None:
+    repeated = (np.diff(np.sort(mesh.faces, axis=1), axis=1) == 0).any(axis=1)
+    flat = repeated | (mesh.face_areas <= 1e-15 * max(mesh.area, np.finfo(float).tiny))
+    if flat.any():
+        raise DegenerateMesh(
+            f"{mesh.name}: {int(flat.sum())} triangles without area (first: face "
+            f"{int(np.argmax(flat))}); positive areas are required; remesh it, {remedy}"
+        )
+
+
+def _require_closed_manifold(mesh: Mesh) -> None:
+    used = len(np.unique(mesh.faces))
+    if used != len(mesh.vertices):
+        raise NotGenusZero(
+            f"{mesh.name}: {len(mesh.vertices) - used} vertices belong to no face; none is "
+            "allowed; remove them, or set shapes.on_bad=skip"
+        )
+    directed = mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    undirected, count = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)
+    faults = (
+        (count > 2, "edges with more than two faces (non-manifold)", "split or remesh it"),
+        (count == 1, "boundary edges (open surface)", "close the holes"),
+    )
+    for fault, found, remedy in faults:
+        if fault.any():
+            raise NotGenusZero(
+                f"{mesh.name}: {int(fault.sum())} {found}; a closed manifold is required; "
+                f"{remedy}, or set shapes.on_bad=skip"
+            )
+    if len(np.unique(directed, axis=0)) != 2 * len(undirected):
+        raise NotGenusZero(
+            f"{mesh.name}: neighbouring faces disagree in orientation; one consistent outward "
+            "orientation is required; reorient the faces, or set shapes.on_bad=skip"
+        )
+    if not np.asarray(igl.is_vertex_manifold(mesh.faces)).all():
+        raise NotGenusZero(
+            f"{mesh.name}: a vertex joins several sheets (non-manifold); a closed manifold is "
+            "required; split the vertex, or set shapes.on_bad=skip"
+        )
+
+
+def _signed_volume(mesh: Mesh) -> float:
+    centred = (mesh.vertices - mesh.vertices.mean(axis=0))[mesh.faces]
+    return float(np.linalg.det(centred).sum() / 6)
+
+
+def normalize(mesh: Mesh) -> Mesh:
+    """Area-weighted centroid at the origin, total area 4π: the scale of the unit sphere."""
+    weights = mesh.face_areas / mesh.area
+    centroid = weights @ mesh.vertices[mesh.faces].mean(axis=1)
+    return replace(mesh, vertices=(mesh.vertices - centroid) * np.sqrt(SPHERE_AREA / mesh.area))
+
+
+def simplify(mesh: Mesh, vertices: int) -> Mesh:
+    """Decimate by edge collapses to about `vertices` vertices, keeping closedness and genus.
+
+    Raises
+    ------
+    DegenerateMesh
+        The collapses could not keep a closed genus-0 surface.
+    """
+    if len(mesh.vertices) <= vertices:
+        return mesh
+    target = 2 * vertices - 4
+    positions, faces, *_ = igl.decimate(mesh.vertices, mesh.faces, target)
+    coarse = Mesh(np.asarray(positions), np.asarray(faces, dtype=np.int64), mesh.name)
+    require_genus_zero(coarse, max_faces=len(mesh.faces))
+    return coarse
