@@ -48,7 +48,7 @@ class Mesh:
     @cached_property
     def edges(self) -> Int[np.ndarray, "e 2"]:
         """Undirected edges, each once."""
-        return igl.edges(self.faces)
+        return np.asarray(igl.edges(self.faces), dtype=np.int64)
 
     @property
     def euler(self) -> int:
@@ -149,8 +149,8 @@ def _require_sound_triangles(mesh: Mesh, max_faces: int) -> None:
         )
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
         raise DegenerateMesh(
-            f"{mesh.name}: a face names vertex {mesh.faces.max()} of {len(mesh.vertices)}; indices "
-            f"within the vertex list are required; export it again, {remedy}"
+            f"{mesh.name}: a face names vertex {mesh.faces.max()} of {len(mesh.vertices)}; "
+            f"indices within the vertex list are required; export it again, {remedy}"
         )
     if not np.isfinite(mesh.vertices).all():
         count = int((~np.isfinite(mesh.vertices).all(axis=1)).sum())

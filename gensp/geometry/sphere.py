@@ -27,7 +27,7 @@ def icosphere(level: int) -> Mesh:
     else:
         coarse = icosphere(level - 1)
         vertices, faces = _midpoint_subdivision(coarse)
-        mesh = Mesh(unit(vertices), faces)
+        mesh = Mesh(vertices, faces)
     mesh.vertices.setflags(write=False)
     mesh.faces.setflags(write=False)
     return Mesh(mesh.vertices, mesh.faces, "sphere")
@@ -37,7 +37,8 @@ def _midpoint_subdivision(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     sides = mesh.faces[:, [[0, 1], [1, 2], [2, 0]]]
     edges, inverse = np.unique(np.sort(sides.reshape(-1, 2), axis=1), axis=0, return_inverse=True)
     middle = len(mesh.vertices) + inverse.reshape(-1, 3)
-    vertices = np.concatenate([mesh.vertices, mesh.vertices[edges].mean(axis=1)])
+    # Only the new vertices are projected: the coarser levels stay, bit for bit.
+    vertices = np.concatenate([mesh.vertices, unit(mesh.vertices[edges].mean(axis=1))])
     a, b, c = mesh.faces.T
     ab, bc, ca = middle.T
     faces = np.stack([a, ab, ca, b, bc, ab, c, ca, bc, ab, bc, ca], axis=1).reshape(-1, 3)
