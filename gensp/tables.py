@@ -84,7 +84,7 @@ def summary_label(summary: Summary) -> str:
 
 
 def summary_markdown(summary: Summary) -> str:
-    """One evaluation as Markdown: a row for every split, the columns explained, what is missing."""
+    """One evaluation as Markdown: a row a split, the columns explained, what is missing."""
     columns = columns_of([summary])
     title = f"# {summary.get('collection', '')}: {summary_label(summary) or summary['method']}"
     table = markdown_table(["split", *_headings(columns)], _rows(summary, columns))
@@ -189,7 +189,7 @@ class Comparison:
         columns = columns_of(self.summaries)
         parts = [
             f"## {split}\n\n"
-            + markdown_table(["", *_headings(columns)], self._cells(split, columns))
+            + markdown_table(["variant", *_headings(columns)], self._cells(split, columns))
             for split in self.splits
         ]
         return "\n".join([*parts, _legend(columns, self.summaries[0]) + "\n"])
@@ -201,7 +201,7 @@ class Comparison:
     def rich(self, split: str) -> "Table":
         """One split for a terminal."""
         columns = columns_of(self.summaries, TERMINAL)
-        header = ["", *_headings(columns)]
+        header = ["variant", *_headings(columns)]
         return _terminal(f"{split} shapes", header, self._cells(split, columns))
 
 
