@@ -1,0 +1,100 @@
+"""Known correspondences: template vertices and keypoints placed on each mesh.
+
+Two shapes of one template correspond where their ids agree.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int
+
+from gensp.errors import MissingData
+from gensp.files import load_npz, read_json, save_npz
+from gensp.geometry.points import SurfacePoints
+
+KEYPOINTS = "keypoints"
+
+
+@dataclass(frozen=True)
+class GroundTruth:
+    """k points of one mesh with their ids (k,) in a template that several meshes share."""
+
+    template: str
+    ids: Int[np.ndarray, " k"]
+    at: SurfacePoints
+
+    def take(self, index: np.ndarray) -> "GroundTruth":
+        """The points at `index` (integers or a mask)."""
+        return GroundTruth(self.template, self.ids[index], self.at.take(index))
+
+
+def common_points(
+    first: GroundTruth | None, second: GroundTruth | None
+) -> tuple[Int[np.ndarray, " c"], Int[np.ndarray, " c"]]:
+    """Rows of `first` and `second` that are the same points; none without a shared template."""
+    if first is None or second is None or first.template != second.template:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    _, rows, others = np.intersect1d(first.ids, second.ids, return_indices=True)
+    return rows, others
+
+
+def load_ground_truth(path: Path | str, template: str) -> GroundTruth:
+    """Read `template_vertex`, `face`, `bary` of an npz; rows with face -1 have no match.
+
+    Raises
+    ------
+    MissingData
+        The file or one of its arrays is missing.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise MissingData(
+            f"{path}: does not exist; the manifest names it as ground truth; restore the file or "
+            "empty the column 'correspondence'"
+        )
+    arrays = load_npz(path)
+    missing = {"template_vertex", "face", "bary"} - arrays.keys()
+    if missing:
+        raise MissingData(
+            f"{path}: arrays {', '.join(sorted(missing))} are missing; ground truth has "
+            "template_vertex (k), face (k) and bary (k, 3); write them or remove the file"
+        )
+    known = arrays["face"] >= 0
+    return _ground_truth(
+        template, arrays["template_vertex"][known], arrays["face"][known], arrays["bary"][known]
+    )
+
+
+def _ground_truth(template: str, ids: Any, faces: Any, weights: Any) -> GroundTruth:
+    weights = np.clip(np.asarray(weights, dtype=np.float64).reshape(-1, 3), 0, None)
+    weights = weights / weights.sum(axis=1, keepdims=True)
+    at = SurfacePoints(np.asarray(faces, dtype=np.int64).reshape(-1), weights)
+    return GroundTruth(template, np.asarray(ids, dtype=np.int64).reshape(-1), at)
+
+
+def save_ground_truth(path: Path | str, truth: GroundTruth) -> None:
+    """Write the format that `load_ground_truth` reads."""
+    save_npz(
+        path,
+        template_vertex=truth.ids.astype(np.int32),
+        face=truth.at.faces.astype(np.int32),
+        bary=truth.at.barycentric,
+    )
+
+
+def load_keypoints(path: Path | str) -> dict[str, GroundTruth]:
+    """Read keypoint records in KeypointNet's format: per mesh its semantic ids and places."""
+    return {record["model_id"]: _keypoints(record) for record in read_json(path)}
+
+
+def _keypoints(record: Mapping[str, Any]) -> GroundTruth:
+    points = [point for point in record["keypoints"] if point["mesh_info"]["face_index"] >= 0]
+    return _ground_truth(
+        KEYPOINTS,
+        [point["semantic_id"] for point in points],
+        [point["mesh_info"]["face_index"] for point in points],
+        [point["mesh_info"]["face_uv"] for point in points],
+    )

@@ -1,0 +1,93 @@
+"""Every mesh of a collection is checked once; verdicts are kept by file content."""
+
+import hashlib
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+from gensp.errors import BadMesh, MissingData, Unsupported
+from gensp.files import read_json, write_json
+from gensp.geometry.mesh import load_mesh, require_genus_zero
+
+MAX_FACES = 200_000
+_RECORD = "genus_zero.json"
+
+
+class _Named(Protocol):
+    @property
+    def id(self) -> str: ...
+    @property
+    def path(self) -> Path: ...
+
+
+ShapeT = TypeVar("ShapeT", bound=_Named)
+
+
+def checked(
+    shapes: Sequence[ShapeT], *, on_bad: str, max_faces: int, cache: Path | str | None
+) -> tuple[list[ShapeT], list[tuple[str, str]]]:
+    """Split shapes into the sound ones and (id, reason) of the others.
+
+    Parameters
+    ----------
+    cache
+        Folder for the digests of files that have passed; a file is checked again when its content
+        or `max_faces` changes.
+
+    Raises
+    ------
+    BadMesh
+        Under on_bad=error, with one line for every bad file.
+    MissingData
+        No sound mesh is left.
+    """
+    if on_bad not in ("error", "skip"):
+        raise Unsupported(f"shapes.on_bad={on_bad}: unknown; choose error or skip")
+    record = None if cache is None else Path(cache) / _RECORD
+    passed = _read_record(record)
+    known = len(passed)
+    reasons = {shape.id: _verdict(shape.path, max_faces, passed) for shape in shapes}
+    if record is not None and len(passed) > known:
+        write_json(record, sorted(passed))
+    bad = [(id, reason) for id, reason in reasons.items() if reason is not None]
+    if bad and on_bad == "error":
+        lines = "\n".join(reason for _, reason in bad)
+        raise BadMesh(
+            f"{len(bad)} of {len(shapes)} meshes cannot be used; repair them or leave them out "
+            f"with shapes.on_bad=skip:\n{lines}"
+        )
+    sound = [shape for shape in shapes if reasons[shape.id] is None]
+    if not sound:
+        raise MissingData(f"none of {len(shapes)} meshes can be used: {bad[0][1] if bad else ''}")
+    return sound, bad
+
+
+def _verdict(path: Path, max_faces: int, passed: set[str]) -> str | None:
+    """Reason to reject a file, in one line, or nothing."""
+    digest = _digest(path, max_faces)
+    if digest in passed:
+        return None
+    try:
+        mesh = load_mesh(path)
+        require_genus_zero(replace(mesh, name=str(path)), max_faces=max_faces)
+    except BadMesh as error:
+        return " ".join(str(error).split())
+    passed.add(digest)
+    return None
+
+
+def _digest(path: Path, max_faces: int) -> str:
+    content = path.read_bytes() if path.is_file() else b""
+    return hashlib.sha256(content + f"{path.suffix}{max_faces}".encode()).hexdigest()
+
+
+def _read_record(record: Path | None) -> set[str]:
+    if record is None or not record.is_file():
+        return set()
+    try:
+        return set(read_json(record))
+    except (ValueError, TypeError):
+        warnings.warn(f"{record}: damaged; all meshes are checked again", stacklevel=2)
+        return set()
