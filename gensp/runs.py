@@ -1,0 +1,276 @@
+"""Run folders: where a stage's results are, whether they are whole, and what they were made with.
+
+`runs/<experiment>/<variant>/<stage>/` is complete when it holds `manifest.json`, which is
+written last. `settings.json` is written first, so that an interrupted run can be told from a
+run of other settings.
+"""
+
+import hashlib
+import importlib.metadata
+import os
+import platform
+import resource
+import shutil
+import subprocess
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from gensp.errors import MissingStage, StaleRun
+from gensp.files import content_hash, read_json, write_json
+
+MANIFEST = "manifest.json"
+SETTINGS = "settings.json"
+CHECKPOINT = Path("checkpoints") / "last.ckpt"
+
+_PACKAGES = ("gensp", "torch", "lightning", "numpy", "scipy", "libigl", "trimesh", "torchdiffeq")
+
+
+@dataclass(frozen=True)
+class Run:
+    """The folder of a finished stage."""
+
+    folder: Path
+
+    @cached_property
+    def manifest(self) -> dict[str, Any]:
+        """What the stage left when it was sealed."""
+        manifest: dict[str, Any] = read_json(self.folder / MANIFEST)
+        return manifest
+
+    @property
+    def complete(self) -> bool:
+        """Whether the stage was finished."""
+        return (self.folder / MANIFEST).is_file()
+
+    @property
+    def digest(self) -> str:
+        """The digest of the settings, those of all stages before included."""
+        return str(self.manifest["digest"])
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        """The numbers the stage ended with; the first is its headline."""
+        return dict(self.manifest["metrics"])
+
+    @property
+    def headline(self) -> float | None:
+        """The first metric."""
+        return next(iter(self.metrics.values()), None)
+
+
+@dataclass(frozen=True)
+class Runs:
+    """The run folders of one experiment, seen from one variant.
+
+    Parameters
+    ----------
+    root, experiment, variant
+        Give `root/experiment/variant/<stage>`.
+    shares
+        Stages whose folder belongs to another variant: stage → variant.
+    inputs
+        Folders given by hand, in place of a stage's own: stage → folder or None.
+    command
+        What to type, without the stage, to make a missing one.
+    """
+
+    root: Path
+    experiment: str
+    variant: str
+    shares: Mapping[str, str] = field(default_factory=dict)
+    inputs: Mapping[str, str | None] = field(default_factory=dict)
+    command: str = "python train.py"
+
+    def folder(self, stage: str) -> Path:
+        """Where a stage writes."""
+        return Path(self.root) / self.experiment / self.shares.get(stage, self.variant) / stage
+
+    def open(self, stage: str, *, needed_by: str) -> Run:
+        """The finished run of a stage.
+
+        Raises
+        ------
+        MissingStage
+            It has no manifest; the message names the command that makes it.
+        """
+        run = self.find(stage)
+        if run is None:
+            raise MissingStage(
+                f"'{needed_by}' needs '{stage}', but {self._place(stage)} has no {MANIFEST}; "
+                f"run: {self.command} stage={stage}"
+            )
+        return run
+
+    def find(self, stage: str) -> Run | None:
+        """The finished run of a stage, or None."""
+        run = Run(self._place(stage))
+        return run if run.complete else None
+
+    def _place(self, stage: str) -> Path:
+        given = self.inputs.get(stage)
+        return Path(given) if given else self.folder(stage)
+
+
+class Progress(Enum):
+    """What a folder holds of the run that is asked for."""
+
+    NOTHING = "nothing"
+    SOME = "some"
+    ALL = "all"
+
+
+def restart(folder: Path, settings: Mapping[str, Any]) -> Progress:
+    """How far a run of these settings has come in this folder.
+
+    Raises
+    ------
+    StaleRun
+        The folder holds a run, finished or not, of other settings.
+    """
+    sealed = folder / MANIFEST
+    found = sealed if sealed.is_file() else folder / SETTINGS
+    if not found.is_file():
+        return Progress.NOTHING
+    stored = read_json(found)["settings"]
+    changed = differences(stored, _plain(settings))
+    if changed:
+        listed = "; ".join(changed[:6]) + (f"; and {len(changed) - 6} more" * (len(changed) > 6))
+        raise StaleRun(
+            f"{folder}: made with other settings ({listed}); the same settings are required to go "
+            "on; add force=true to make it anew, or name=NEW to keep both"
+        )
+    return Progress.ALL if found is sealed else Progress.SOME
+
+
+def begin(folder: Path, settings: Mapping[str, Any]) -> None:
+    """Note what a run is made with, before its first result."""
+    write_json(folder / SETTINGS, {"settings": _plain(settings)})
+
+
+def clear(folder: Path) -> None:
+    """Remove a run; its seal first, so that a half-removed run never looks finished."""
+    (folder / MANIFEST).unlink(missing_ok=True)
+    if folder.exists():
+        shutil.rmtree(folder)
+
+
+def seal(
+    folder: Path,
+    *,
+    stage: str,
+    settings: Mapping[str, Any],
+    metrics: Mapping[str, float],
+    facts: Mapping[str, Any],
+) -> Run:
+    """Write the manifest, which makes the run complete.
+
+    Parameters
+    ----------
+    settings
+        The scientific configuration, with the digests of the runs it read.
+    metrics
+        Numbers the stage ended with, the headline first.
+    facts
+        Whatever else should be remembered: seconds, hardware.
+    """
+    manifest = {
+        "stage": stage,
+        "digest": content_hash(_plain(settings)),
+        "metrics": dict(metrics),
+        **facts,
+        "peak_memory_gib": round(peak_memory(), 3),
+        **environment(),
+        "settings": _plain(settings),
+        "files": listing(folder),
+    }
+    write_json(folder / MANIFEST, manifest)
+    return Run(folder)
+
+
+def differences(old: Any, new: Any, key: str = "") -> list[str]:
+    """Which entries of two nested settings differ, as "key: old → new"."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        names = [*old, *(name for name in new if name not in old)]
+        pairs = ((name, old.get(name), new.get(name)) for name in names)
+        return [
+            line
+            for name, a, b in pairs
+            for line in differences(a, b, f"{key}.{name}" if key else str(name))
+        ]
+    return [] if old == new else [f"{key}: {_short(old)} → {_short(new)}"]
+
+
+def _short(value: Any) -> str:
+    text = "nothing" if value is None else str(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _plain(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings as JSON gives them back, so that both sides of a comparison agree."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return {str(name): plain(entry) for name, entry in value.items()}
+        if isinstance(value, list | tuple):
+            return [plain(entry) for entry in value]
+        return str(value) if isinstance(value, Path) else value
+
+    return {str(name): plain(entry) for name, entry in settings.items()}
+
+
+def listing(folder: Path) -> dict[str, dict[str, Any]]:
+    """Size and SHA-256 of every file below a folder, the manifest and hidden files left out."""
+    paths = sorted(path for path in folder.rglob("*") if path.is_file())
+    kept = [path for path in paths if path.name != MANIFEST and not path.name.startswith(".")]
+    return {
+        path.relative_to(folder).as_posix(): {
+            "bytes": path.stat().st_size,
+            "sha256": _file_hash(path),
+        }
+        for path in kept
+    }
+
+
+def _file_hash(path: Path) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def environment() -> dict[str, Any]:
+    """Versions of what computed the run, the revision of the sources, the machine."""
+    versions = {name: _version(name) for name in _PACKAGES}
+    return {
+        "versions": {"python": platform.python_version(), **versions},
+        "revision": _revision(),
+        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
+    }
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def _revision() -> str | None:
+    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip()
+
+
+def peak_memory() -> float:
+    """Largest resident size of this process or of one of its finished children, in GiB."""
+    sizes = (
+        resource.getrusage(who).ru_maxrss
+        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    )
+    unit = 1 if platform.system() == "Darwin" else 1024
+    return max(sizes) * unit / 2**30

@@ -1,0 +1,167 @@
+"""What all stages share: a folder, an ending, and how they train or pass over items."""
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Self
+
+import torch
+from lightning import LightningModule, seed_everything
+from torch import Tensor
+
+from gensp.compute import Row, stored_rows
+from gensp.errors import GenSPError
+from gensp.files import write_text
+from gensp.runs import Run
+
+
+class Stage(LightningModule):
+    """One stage of the method: a LightningModule that writes into one folder."""
+
+    def __init__(self, *, folder: Path | str = Path(".")) -> None:
+        super().__init__()
+        self.folder = Path(folder)
+
+    @classmethod
+    def from_runs(cls, inputs: Mapping[str, Run], folder: Path, **numbers: Any) -> Self:
+        """The stage as the runs before it and the configuration make it.
+
+        Stages that read their predecessors override this: they open `inputs[name].folder / file`
+        and hand over what they found as constructor arguments.
+        """
+        return cls(folder=folder, **numbers)
+
+    def finish(self) -> dict[str, float]:
+        """Merge what the verb left, on rank zero after all ranks are done.
+
+        Returns
+        -------
+        dict
+            Metrics for the manifest, the stage's headline first.
+        """
+        return {}
+
+
+class FitStage(Stage):
+    """A stage that trains: Adam, a cosine schedule over all steps, a history of its losses.
+
+    Every epoch begins from a random state that depends on the seed, the epoch and the rank
+    alone, so a resumed training equals an uninterrupted one.
+    """
+
+    def __init__(
+        self, *, learning_rate: float, seed: int = 0, folder: Path | str = Path(".")
+    ) -> None:
+        super().__init__(folder=folder)
+        self.learning_rate = learning_rate
+        self.seed = seed
+        self.history: list[dict[str, float]] = []
+
+    def configure_optimizers(self) -> dict[str, Any]:
+        """Adam with a cosine that ends at zero after the last step."""
+        trained = [weight for weight in self.parameters() if weight.requires_grad]
+        optimizer = torch.optim.Adam(trained, lr=self.learning_rate)
+        steps = max(1, int(self.trainer.estimated_stepping_batches))
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, T_max=steps)
+        return {
+            "optimizer": optimizer,
+            "lr_scheduler": {"scheduler": schedule, "interval": "step"},
+        }
+
+    def log_losses(self, **terms: Tensor | float) -> None:
+        """Log loss terms as train/<term>, averaged over the epoch and the ranks."""
+        for term, value in terms.items():
+            self.log(
+                f"train/{term}",
+                value.detach() if isinstance(value, Tensor) else value,
+                on_step=False,
+                on_epoch=True,
+                batch_size=1,
+                sync_dist=True,
+            )
+
+    def on_train_epoch_start(self) -> None:
+        """Start the epoch from its own random state."""
+        epoch_seed = (self.seed * 1_000_003 + self.current_epoch) * 1_009 + self.global_rank
+        seed_everything(epoch_seed % 2**32, verbose=False)
+
+    def on_train_epoch_end(self) -> None:
+        """Keep the epoch's means."""
+        means = {
+            name: float(value)
+            for name, value in self.trainer.callback_metrics.items()
+            if name.startswith(("train/", "val/"))
+        }
+        self.history.append({"epoch": self.current_epoch, "step": self.global_step, **means})
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """The history travels with the weights."""
+        checkpoint["history"] = self.history
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Take up the history where the weights were saved."""
+        self.history = list(checkpoint["history"])
+
+    def finish(self) -> dict[str, float]:
+        """Write history.csv; the last epoch's means are the metrics."""
+        write_table(self.folder / "history.csv", self.history)
+        last = self.history[-1] if self.history else {}
+        return {name: value for name, value in last.items() if name not in ("epoch", "step")}
+
+
+class ItemStage(Stage):
+    """A stage that learns nothing: it passes over items and collects one row of each.
+
+    Parameters
+    ----------
+    table
+        Name of the csv file of all rows.
+    max_failures
+        More failed items than this end the stage with an error.
+    """
+
+    def __init__(
+        self, *, table: str, max_failures: int = 0, folder: Path | str = Path(".")
+    ) -> None:
+        super().__init__(folder=folder)
+        self.table = table
+        self.max_failures = max_failures
+
+    def predict_step(self, row: Row, index: int) -> Row:
+        """The work was done by the worker that yielded the row."""
+        return row
+
+    @property
+    def rows(self) -> list[Row]:
+        """The rows of all items and ranks, ordered by item."""
+        return stored_rows(self.folder)
+
+    def finish(self) -> dict[str, float]:
+        """Write the table, or report the items that failed.
+
+        Raises
+        ------
+        GenSPError
+            More items failed than may.
+        """
+        rows = self.rows
+        failed = [row for row in rows if row.get("error")]
+        if len(failed) > self.max_failures:
+            first = "; ".join(str(row["error"]) for row in failed[:3])
+            raise GenSPError(
+                f"{self.folder}: {len(failed)} of {len(rows)} items failed, at most "
+                f"{self.max_failures} may; first: {first}"
+            )
+        write_table(self.folder / f"{self.table}.csv", rows)
+        return {"items": len(rows), "failed": len(failed)}
+
+
+def write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write rows as csv; columns in the order in which they first appear."""
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_text(path, text.getvalue())
