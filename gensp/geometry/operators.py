@@ -1,0 +1,53 @@
+"""Differential operators of triangle meshes: stiffness, mass, adjacency."""
+
+import igl
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Float, Int
+
+from gensp.geometry.mesh import Mesh
+
+# Relative to the median edge weight: keeps clamped Laplacians connected and definite.
+_SMALLEST_WEIGHT = 1e-3
+
+
+def cotangent_laplacian(mesh: Mesh) -> sp.csc_matrix:
+    """Positive semidefinite cotangent stiffness matrix (n, n); constants are its kernel."""
+    return sp.csc_matrix(-igl.cotmatrix(mesh.vertices, mesh.faces))
+
+
+def clamped_laplacian(mesh: Mesh) -> sp.csc_matrix:
+    """Cotangent stiffness with every edge weight at least 1e-3 of the median weight.
+
+    A Laplacian of positive weights is definite on each component whatever the triangles' angles,
+    which the plain one is not for elastic energies on obtuse triangles.
+    """
+    weights = sp.coo_matrix(-cotangent_laplacian(mesh))
+    off = weights.row != weights.col
+    i, j, w = weights.row[off], weights.col[off], weights.data[off]
+    return weighted_laplacian(i, j, np.maximum(w, _SMALLEST_WEIGHT * np.median(np.abs(w))))
+
+
+def weighted_laplacian(
+    i: Int[np.ndarray, " e"], j: Int[np.ndarray, " e"], weights: Float[np.ndarray, " e"]
+) -> sp.csc_matrix:
+    """Graph Laplacian Σ w_ij (x_i − x_j)² of directed edges listed in both directions."""
+    size = int(max(i.max(), j.max())) + 1
+    off = sp.csc_matrix((weights, (i, j)), shape=(size, size))
+    return sp.csc_matrix(sp.diags(np.asarray(off.sum(axis=1)).reshape(-1)) - off)
+
+
+def adjacency(faces: Int[np.ndarray, "m 3"]) -> sp.csr_matrix:
+    """Symmetric 0/1 matrix (n, n) of the 1-rings N_i."""
+    i, j = faces[:, [0, 1, 2]].reshape(-1), faces[:, [1, 2, 0]].reshape(-1)
+    graph = sp.csr_matrix((np.ones(2 * len(i)), (np.append(i, j), np.append(j, i))))
+    graph.data[:] = 1
+    return graph
+
+
+def lumped_mass(
+    vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
+) -> Float[np.ndarray, " n"]:
+    """Barycentric vertex areas: a third of every incident triangle."""
+    areas = igl.doublearea(vertices, faces).reshape(-1) / 6
+    return np.bincount(faces.reshape(-1), np.repeat(areas, 3), minlength=len(vertices))
