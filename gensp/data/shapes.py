@@ -9,9 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from gensp.data.blobs import BlobFamily, generate_blobs
 from gensp.data.ground_truth import GroundTruth, load_ground_truth, load_keypoints
 from gensp.data.validation import MAX_FACES, checked
 from gensp.errors import MissingData, Unsupported
@@ -100,6 +102,14 @@ class ShapeCollection:
             max_faces=max_faces,
             cache=cache,
         )
+
+    @classmethod
+    def from_blobs(
+        cls, cache: Path | str, *, name: str = "blobs", on_bad: str = "error", **family: Any
+    ) -> "ShapeCollection":
+        """The generated family of limbed blobs; `family` are the fields of `BlobFamily`."""
+        root = generate_blobs(cache, BlobFamily(**family))
+        return cls.from_folder(root, name=name, on_bad=on_bad, cache=cache)
 
     def __len__(self) -> int:
         return len(self._shapes)
