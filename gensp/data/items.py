@@ -1,0 +1,66 @@
+"""Training items that stage I leaves behind: the inputs and the shapes between them and S_0."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gensp.errors import MissingStage
+from gensp.files import load_npz, read_json
+from gensp.geometry.mesh import Mesh
+
+
+@dataclass(frozen=True)
+class Item:
+    """One training shape of the extended collection S_1, …, S_N̄.
+
+    Attributes
+    ----------
+    id
+        The input's id, or "<id>@<k>" for the k-th sample of its flow.
+    shape, split
+        Id and split of the input that it comes from.
+    kind
+        "input" or "augmented".
+    t
+        Position on the flow in (0, 1) by arc length; 0 for inputs.
+    """
+
+    id: str
+    shape: str
+    split: str
+    kind: str
+    t: float
+
+
+def training_items(
+    folder: Path | str, augmented: bool, splits: tuple[str, ...] = ("train", "val")
+) -> list[Item]:
+    """Items of stage I in the folder: inputs first, then, if `augmented`, the accepted samples.
+
+    This is where the ablation No-DA is read: it passes augmented=False.
+
+    Raises
+    ------
+    MissingStage
+        The folder holds no finished stage I.
+    """
+    path = Path(folder) / "items.json"
+    if not path.is_file():
+        raise MissingStage(
+            f"{path}: does not exist; the items of stage I are required; run stage=augment"
+        )
+    items = [Item(**entry) for entry in read_json(path)]
+    kinds = ("input", "augmented") if augmented else ("input",)
+    return [item for kind in kinds for item in items if item.kind == kind and item.split in splits]
+
+
+def item_path(folder: Path | str, item: str) -> Path:
+    """Where the mesh of an item is kept."""
+    return Path(folder) / "meshes" / f"{item}.npz"
+
+
+def item_mesh(folder: Path | str, item: str) -> Mesh:
+    """Mesh of an item: closed, genus 0, centred, area 4π, with its own triangulation."""
+    arrays = load_npz(item_path(folder, item))
+    return Mesh(arrays["vertices"].astype(np.float64), arrays["faces"].astype(np.int64), item)
