@@ -1,0 +1,26 @@
+"""Learn consistent spherical parameterizations of a collection of genus-0 shapes.
+
+python train.py                                    the quickstart: all stages on 30 heads
+python train.py experiment=quadrupeds stage=augment    one stage
+python train.py --help                             stages, groups, every setting
+"""
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
+from omegaconf import DictConfig
+
+
+@hydra.main(version_base="1.3", config_path="conf", config_name="config")
+def main(cfg: DictConfig) -> float | None:
+    """Compose the configuration, run what it names, return the headline metric."""
+    # Imported late: --help and misspelt words need none of it.
+    from gensp.run import one_line_errors, run
+
+    job = HydraConfig.get()
+    with one_line_errors(sweep=job.mode == RunMode.MULTIRUN):
+        return run(cfg, job.overrides.task)
+
+
+if __name__ == "__main__":
+    main()
