@@ -1,0 +1,102 @@
+"""Networks in files: a description and tensors, never pickled code."""
+
+import pickle
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from gensp.errors import MissingStage, Unsupported
+from gensp.files import atomic_path
+from gensp.models.encoder import PointNet2Encoder
+from gensp.models.generator import AnchoredGenerator, DirectGenerator, FlowGenerator
+from gensp.models.implicit import ImplicitField
+from gensp.models.latent_mlp import LatentMLP
+from gensp.models.network import Network
+
+CLASSES: dict[str, type[Network]] = {
+    cls.__name__: cls
+    for cls in (
+        PointNet2Encoder,
+        LatentMLP,
+        ImplicitField,
+        DirectGenerator,
+        AnchoredGenerator,
+        FlowGenerator,
+    )
+}
+
+
+def save_model(path: Path | str, **networks: Network) -> None:
+    """Write networks by name, whole or not at all.
+
+    Raises
+    ------
+    Unsupported
+        A network is not of a class of `gensp.models`.
+    """
+    content = {}
+    for name, network in networks.items():
+        _known_class(type(network).__name__, Path(path))
+        state = {key: value.cpu() for key, value in network.state_dict().items()}
+        content[name] = {"architecture": network.architecture(), "state_dict": state}
+    with atomic_path(path) as temporary:
+        torch.save(content, temporary)
+
+
+def load_model(path: Path | str) -> dict[str, Network]:
+    """Read the networks of a file, by name, on the CPU and in evaluation mode.
+
+    Raises
+    ------
+    MissingStage
+        There is no such file.
+    Unsupported
+        The file is no model of gensp: other content, foreign classes or pickled code.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise MissingStage(
+            f"{path}: does not exist; a trained model.pt is required; "
+            "run python train.py stage=finetune"
+        )
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except (pickle.UnpicklingError, RuntimeError, EOFError) as error:
+        raise Unsupported(_foreign(path, "not plain tensors and numbers")) from error
+    if not isinstance(content, Mapping):
+        raise Unsupported(_foreign(path, f"a {type(content).__name__}"))
+    return {name: _restored(stored, path) for name, stored in content.items()}
+
+
+def _restored(stored: Any, path: Path) -> Network:
+    if not isinstance(stored, Mapping) or {"architecture", "state_dict"} - stored.keys():
+        raise Unsupported(_foreign(path, "no architecture and state_dict"))
+    network = _built(stored["architecture"], path)
+    try:
+        network.load_state_dict(stored["state_dict"])
+    except RuntimeError as error:
+        raise Unsupported(_foreign(path, "weights of another architecture")) from error
+    return network.eval()
+
+
+def _built(architecture: Mapping[str, Any], path: Path) -> Network:
+    settings = {
+        name: _built(value, path) if isinstance(value, Mapping) else value
+        for name, value in architecture["settings"].items()
+    }
+    return _known_class(architecture["class"], path)(**settings)
+
+
+def _known_class(name: str, path: Path) -> type[Network]:
+    if name not in CLASSES:
+        raise Unsupported(_foreign(path, f"a network of class {name}"))
+    return CLASSES[name]
+
+
+def _foreign(path: Path, found: str) -> str:
+    return (
+        f"{path}: holds {found}; networks of gensp.models are required "
+        f"({', '.join(CLASSES)}); write it with stage=implicit, initialize or finetune"
+    )
