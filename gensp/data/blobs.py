@@ -29,6 +29,7 @@ _UNION, _SKIN = 18.0, 14.4
 _CELLS = 72
 _ATTEMPTS_PER_SHAPE = 30
 _TRUTH_POINTS = 1024
+_Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class _Skeleton:
 
 def _skeleton(leg_radius: float, leg_length: float) -> _Skeleton:
     """A body along x with neck, head, two tail bones and four legs of two bones, y up."""
-    bones = [
+    bones: list[tuple[_Triple, _Triple, tuple[float, float], int]] = [
         ((-0.7, 0, 0), (0.7, 0, 0), (0.42, 0.42), -1),
         ((0.7, 0.15, 0), (1.05, 0.55, 0), (0.28, 0.24), 0),
         ((1.05, 0.55, 0), (1.45, 0.6, 0), (0.3, 0.22), 1),
@@ -105,7 +106,7 @@ def _template(leg_radius: float, leg_length: float, vertices: int) -> Mesh:
     axes = [np.arange(low[k], high[k] + cell, cell) for k in range(3)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     distance = -logsumexp(-_UNION * _bone_distances(grid.reshape(-1, 3), bones), axis=1) / _UNION
-    corners, faces, *_ = marching_cubes(
+    corners, faces, *_ = marching_cubes(  # type: ignore[no-untyped-call]
         distance.reshape(grid.shape[:3]), 0.0, spacing=(cell,) * 3, gradient_direction="descent"
     )
     surface = Mesh(corners.astype(np.float64) + low, faces.astype(np.int64), "template")

@@ -41,6 +41,8 @@ class ShapeCollection:
     ----------
     skipped
         (id, reason) of the meshes that were left out under on_bad=skip.
+    up
+        Axis that points up in pictures: x, y or z.
     """
 
     def __init__(
@@ -51,9 +53,11 @@ class ShapeCollection:
         keypoints: Path | None = None,
         on_bad: str = "error",
         max_faces: int = MAX_FACES,
+        up: str = "y",
         cache: Path | str | None = None,
     ) -> None:
         self.name = name
+        self.up = up
         _require_names(shapes)
         sound, self.skipped = checked(shapes, on_bad=on_bad, max_faces=max_faces, cache=cache)
         self._shapes = {shape.id: shape for shape in sound}
@@ -69,6 +73,7 @@ class ShapeCollection:
         max_faces: int = MAX_FACES,
         test_fraction: float = 0.0,
         split_seed: int = 0,
+        up: str = "y",
         cache: Path | str | None = None,
     ) -> "ShapeCollection":
         """Read a folder of meshes, with or without `manifest.csv`, `corr/` and `keypoints.json`.
@@ -100,16 +105,26 @@ class ShapeCollection:
             keypoints=keypoints if keypoints.is_file() else None,
             on_bad=on_bad,
             max_faces=max_faces,
+            up=up,
             cache=cache,
         )
 
     @classmethod
     def from_blobs(
-        cls, cache: Path | str, *, name: str = "blobs", on_bad: str = "error", **family: Any
+        cls,
+        cache: Path | str,
+        *,
+        name: str = "blobs",
+        on_bad: str = "error",
+        max_faces: int = MAX_FACES,
+        up: str = "y",
+        **family: Any,
     ) -> "ShapeCollection":
         """The generated family of limbed blobs; `family` are the fields of `BlobFamily`."""
         root = generate_blobs(cache, BlobFamily(**family))
-        return cls.from_folder(root, name=name, on_bad=on_bad, cache=cache)
+        return cls.from_folder(
+            root, name=name, on_bad=on_bad, max_faces=max_faces, up=up, cache=cache
+        )
 
     def __len__(self) -> int:
         return len(self._shapes)

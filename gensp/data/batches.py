@@ -1,0 +1,179 @@
+"""Batches of the learning stages, and datasets whose draws depend on (seed, epoch, index) alone.
+
+S_0 opens every batch. Everything is kept in memory; a batch is gathered in one go.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from torch.utils.data import DataLoader, Dataset, DistributedSampler
+
+from gensp.data.clouds import SurfaceSampler
+
+BatchT = TypeVar("BatchT")
+Key = tuple[int, int]
+
+
+# Lightning moves the tensors of a batch to the device in place and refuses frozen dataclasses.
+@dataclass
+class SdfBatch:
+    """Stage II: b shapes, their clouds, and n distance samples of each (negative inside)."""
+
+    ids: list[str]
+    clouds: Float[Tensor, "b c 3"]
+    points: Float[Tensor, "b n 3"]
+    distances: Float[Tensor, "b n"]
+
+
+@dataclass
+class CorrespondenceBatch:
+    """Stages III-b and IV: n icosphere vertices of each shape and where they belong on it.
+
+    `valid` tells which targets are known; `surface` are k area-uniform points of the shape.
+    """
+
+    ids: list[str]
+    clouds: Float[Tensor, "b c 3"]
+    sphere: Float[Tensor, "b n 3"]
+    targets: Float[Tensor, "b n 3"]
+    valid: Bool[Tensor, "b n"]
+    surface: Float[Tensor, "b k 3"]
+
+
+class EpochDataset(Dataset[Any], Generic[BatchT]):
+    """A map-style dataset of items that is asked for whole batches.
+
+    Parameters
+    ----------
+    ids
+        All items, S_0 first; S_0 is part of every batch and not counted.
+    passes
+        How often an epoch goes through the items.
+    """
+
+    def __init__(self, ids: Sequence[str], *, seed: int, passes: int = 1) -> None:
+        self.ids = list(ids)
+        self.seed = seed
+        self.passes = passes
+
+    def __len__(self) -> int:
+        return (len(self.ids) - 1) * self.passes
+
+    def __getitem__(self, key: Key | int) -> BatchT:
+        return self.__getitems__([key])
+
+    def __getitems__(self, keys: Sequence[Key | int]) -> BatchT:
+        """The batch of S_0 and the items named by (epoch, index) pairs."""
+        pairs = [key if isinstance(key, tuple) else (0, key) for key in keys]
+        items = [0] + [1 + index % (len(self.ids) - 1) for _, index in pairs]
+        draws = [self._generator(*pairs[0], 0)] + [self._generator(*pair, 1) for pair in pairs]
+        return self.batch(items, draws)
+
+    def _generator(self, epoch: int, index: int, part: int) -> torch.Generator:
+        state = np.random.SeedSequence([self.seed, epoch, index, part]).generate_state(
+            1, np.uint64
+        )
+        return torch.Generator().manual_seed(int(state[0]))
+
+    def batch(self, items: Sequence[int], draws: Sequence[torch.Generator]) -> BatchT:
+        """Gather the given items, each with random numbers of its own."""
+        raise NotImplementedError
+
+
+class EpochSampler(DistributedSampler[Any]):
+    """Shuffles by (seed, epoch) and shares the items out over the ranks; yields (epoch, index)."""
+
+    def __iter__(self) -> Iterator[Key]:
+        for index in super().__iter__():
+            yield self.epoch, index
+
+
+def epoch_loader(
+    dataset: EpochDataset[BatchT], *, batch_size: int, rank: int = 0, ranks: int = 1
+) -> DataLoader[BatchT]:
+    """Batches of `batch_size` shapes, S_0 included; Lightning sets the sampler's epoch."""
+    sampler = EpochSampler(dataset, num_replicas=ranks, rank=rank, shuffle=True, seed=dataset.seed)
+    return DataLoader(
+        dataset, batch_size=max(1, batch_size - 1), sampler=sampler, collate_fn=_as_is
+    )
+
+
+def _as_is(batch: BatchT) -> BatchT:
+    return batch
+
+
+class SdfDataset(EpochDataset[SdfBatch]):
+    """Signed distance samples; `points` (i, s, 3) and `distances` (i, s) are the pools."""
+
+    def __init__(
+        self,
+        ids: Sequence[str],
+        clouds: Float[Tensor, "i c 3"],
+        points: Float[Tensor, "i s 3"],
+        distances: Float[Tensor, "i s"],
+        *,
+        count: int,
+        seed: int,
+        passes: int = 1,
+    ) -> None:
+        super().__init__(ids, seed=seed, passes=passes)
+        self.clouds, self.points, self.distances = clouds, points, distances
+        self.count = count
+
+    def batch(self, items: Sequence[int], draws: Sequence[torch.Generator]) -> SdfBatch:
+        """Draw `count` samples of every item's pool."""
+        pool = self.points.shape[1]
+        chosen = torch.stack([torch.randint(pool, (self.count,), generator=g) for g in draws])
+        rows = torch.as_tensor(items)[:, None]
+        return SdfBatch(
+            ids=[self.ids[item] for item in items],
+            clouds=self.clouds[list(items)],
+            points=self.points[rows, chosen],
+            distances=self.distances[rows, chosen],
+        )
+
+
+class CorrespondenceDataset(EpochDataset[CorrespondenceBatch]):
+    """Icosphere vertices (v, 3) with their places `targets` (i, v, 3) on every item."""
+
+    def __init__(
+        self,
+        ids: Sequence[str],
+        clouds: Float[Tensor, "i c 3"],
+        sphere: Float[Tensor, "v 3"],
+        targets: Float[Tensor, "i v 3"],
+        valid: Bool[Tensor, "i v"],
+        surfaces: Sequence[SurfaceSampler],
+        *,
+        count: int,
+        surface_count: int,
+        seed: int,
+        passes: int = 1,
+    ) -> None:
+        super().__init__(ids, seed=seed, passes=passes)
+        self.clouds, self.sphere, self.targets, self.valid = clouds, sphere, targets, valid
+        self.surfaces = surfaces
+        self.count, self.surface_count = min(count, len(sphere)), surface_count
+
+    def batch(self, items: Sequence[int], draws: Sequence[torch.Generator]) -> CorrespondenceBatch:
+        """Draw vertices without replacement, and surface points, for every item."""
+        total = len(self.sphere)
+        chosen = torch.stack([torch.randperm(total, generator=g)[: self.count] for g in draws])
+        rows = torch.as_tensor(items)[:, None]
+        surface = [
+            self.surfaces[item].draw(self.surface_count, generator)
+            for item, generator in zip(items, draws, strict=True)
+        ]
+        return CorrespondenceBatch(
+            ids=[self.ids[item] for item in items],
+            clouds=self.clouds[list(items)],
+            sphere=self.sphere[chosen],
+            targets=self.targets[rows, chosen],
+            valid=self.valid[rows, chosen],
+            surface=torch.stack(surface),
+        )

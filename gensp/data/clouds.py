@@ -1,0 +1,57 @@
+"""Surface point clouds: what the encoder sees of a shape, and random points of a surface."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from gensp.files import content_hash
+from gensp.geometry.mesh import Mesh
+from gensp.geometry.points import sample_surface
+from gensp.geometry.sphere import sample_sphere
+
+
+def point_cloud(mesh: Mesh, count: int, seed: int = 0) -> Float[np.ndarray, "count 3"]:
+    """Area-uniform points of a normalised mesh in single precision.
+
+    The draw depends on the mesh's content, on `count` and on `seed` alone, so training and
+    inference see the same cloud of the same mesh.
+    """
+    key = content_hash(mesh.vertices, mesh.faces, count, seed)
+    generator = np.random.default_rng(int(key, 16))
+    points = sample_surface(mesh.face_areas, count, generator)
+    return points.on(mesh.vertices, mesh.faces).astype(np.float32)
+
+
+def sphere_cloud(count: int, seed: int = 0) -> Float[np.ndarray, "count 3"]:
+    """The cloud of S_0: uniform points of the exact unit sphere."""
+    generator = np.random.default_rng([count, seed])
+    return sample_sphere(count, generator).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class SurfaceSampler:
+    """Area-uniform random points of one surface, drawn as float32 tensors."""
+
+    corners: Float[Tensor, "m 3 3"]
+    cumulative: Float[Tensor, " m"]
+
+    @classmethod
+    def of(cls, mesh: Mesh) -> "SurfaceSampler":
+        """Prepare a mesh for sampling."""
+        corners = torch.from_numpy(mesh.vertices[mesh.faces].astype(np.float32))
+        share = np.cumsum(mesh.face_areas) / mesh.area
+        return cls(corners, torch.from_numpy(share))
+
+    def draw(self, count: int, generator: torch.Generator) -> Float[Tensor, "count 3"]:
+        """Random points; equal generators give equal points."""
+        face = self._faces(torch.rand(count, generator=generator, dtype=torch.float64))
+        u, v = torch.rand((2, count), generator=generator)
+        root = u.sqrt()
+        weights = torch.stack([1 - root, root * (1 - v), root * v], dim=1)
+        return torch.einsum("kj,kjc->kc", weights, self.corners[face])
+
+    def _faces(self, level: Float[Tensor, " k"]) -> Int[Tensor, " k"]:
+        return torch.searchsorted(self.cumulative, level).clamp_(max=len(self.cumulative) - 1)
