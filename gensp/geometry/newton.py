@@ -7,7 +7,8 @@ import scipy.sparse
 from jaxtyping import Float
 
 from gensp.errors import NotEmbeddable
-from gensp.geometry.dirichlet import HessianPattern, SymmetricDirichlet, project_positive
+from gensp.geometry.assembly import HessianPattern
+from gensp.geometry.dirichlet import SymmetricDirichlet, project_positive
 from gensp.geometry.linear import SPDSolver
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.predicates import bad_faces, spherical_orientation

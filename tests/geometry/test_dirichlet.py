@@ -1,0 +1,142 @@
+import numpy as np
+import pytest
+
+from gensp.geometry.assembly import HessianPattern
+from gensp.geometry.dirichlet import SymmetricDirichlet, project_positive
+from gensp.geometry.distortion import singular_values
+from gensp.geometry.mesh import Mesh, normalize
+from gensp.geometry.sphere import icosphere, sample_sphere, tangent_frame, unit
+
+
+@pytest.fixture
+def shape(bumpy):
+    return normalize(bumpy)
+
+
+@pytest.fixture
+def start():
+    ball = icosphere(3).vertices
+    return unit(ball + 0.15 * np.sin(3 * ball[:, [1, 2, 0]]))
+
+
+@pytest.fixture
+def energy(shape, rng):
+    return SymmetricDirichlet(shape, rng.uniform(0.5, 2, len(shape.faces)))
+
+
+def _along(u, x, step):
+    return unit(u + step * np.einsum("nik,nk->ni", tangent_frame(u), x))
+
+
+def test_energy_of_the_identity_is_twice_the_area():
+    for level in (2, 4):
+        ball = icosphere(level)
+        energy = SymmetricDirichlet(ball).energy(ball.vertices)
+        # ‖J‖² = 2 and ‖J⁻¹‖² ≈ 2 as the determinants tend to twice the areas.
+        assert energy == pytest.approx(4 * ball.area, rel=2 / 4**level)
+
+
+def test_identity_is_a_minimiser_of_the_sphere(rng):
+    ball = normalize(icosphere(3))
+    energy = SymmetricDirichlet(ball)
+    u, frames = unit(ball.vertices), tangent_frame(unit(ball.vertices))
+    gradient = np.einsum("nik,ni->nk", frames, energy.gradient(u))
+    # The chord against the arc leaves a discretisation error of the order of the face size.
+    lumped = 4 * np.pi / len(u)
+    assert np.abs(gradient).max() < 0.1 * lumped
+    identity = energy.energy(u)
+    for scale in (0.01, 0.05):
+        moved = unit(u + scale * np.sin(2 * u[:, [1, 2, 0]] + rng.uniform(0, 6, 3)))
+        assert energy.energy(moved) > identity
+
+
+def test_energy_agrees_with_the_singular_values(shape, start):
+    values = singular_values(shape.vertices, start, shape.faces)
+    sphere_area = Mesh(start, shape.faces).area
+    # The distortion measure scales the chordal sphere to 4π; the energy takes it as it is.
+    values = values * np.sqrt(sphere_area / (4 * np.pi))
+    expected = shape.face_areas @ (np.sum(values**2, axis=1) + np.sum(values**-2.0, axis=1))
+    assert SymmetricDirichlet(shape).energy(start) == pytest.approx(expected, rel=0.02)
+
+
+def test_gradient_against_finite_differences(energy, start, rng):
+    for _ in range(3):
+        x = rng.standard_normal((len(start), 2))
+        moving = np.einsum("nik,nk->ni", tangent_frame(start), x)
+        h = 1e-6
+        slope = (energy.energy(_along(start, x, h)) - energy.energy(_along(start, x, -h))) / (
+            2 * h
+        )
+        assert np.sum(energy.gradient(start) * moving) == pytest.approx(slope, rel=1e-6, abs=1e-5)
+
+
+def test_hessian_against_finite_differences_of_the_gradient(energy, shape, start, rng):
+    frames = tangent_frame(start)
+    blocks = energy.hessians(start, frames)
+    matrix = HessianPattern(shape.faces, len(start)).assemble(blocks, np.zeros(2 * len(start)))
+    x, y = rng.standard_normal((2, len(start), 2))
+    h = 1e-5
+
+    def slope_along_x(step):
+        # d/ds E(retraction of s x) at s = step; with y in place of x by polarisation below.
+        u = start + step * np.einsum("nik,nk->ni", frames, x)
+        length = np.linalg.norm(u, axis=1, keepdims=True)
+        u = u / length
+        velocity = np.einsum("nik,nk->ni", frames, x)
+        velocity = (velocity - np.sum(velocity * u, axis=1, keepdims=True) * u) / length
+        return np.sum(energy.gradient(u) * velocity)
+
+    second = (slope_along_x(h) - slope_along_x(-h)) / (2 * h)
+    assert x.reshape(-1) @ (matrix @ x.reshape(-1)) == pytest.approx(second, rel=1e-6)
+    assert np.abs(matrix - matrix.T).max() < 1e-12 * np.abs(matrix).max()
+    assert x.reshape(-1) @ (matrix @ y.reshape(-1)) == pytest.approx(
+        y.reshape(-1) @ (matrix @ x.reshape(-1))
+    )
+
+
+def test_energy_is_invariant_under_rotation(energy, start, rng):
+    rotation = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    rotation *= np.linalg.det(rotation)
+    assert energy.energy(start @ rotation.T) == pytest.approx(energy.energy(start), rel=1e-12)
+    turned = energy.gradient(start @ rotation.T)
+    np.testing.assert_allclose(turned, energy.gradient(start) @ rotation.T, atol=1e-10)
+
+
+def test_folded_map_has_infinite_energy(energy, start):
+    folded = start.copy()
+    folded[0] = -folded[0]
+    assert energy.energy(folded) == np.inf
+
+
+def test_projection_keeps_positive_parts_only(energy, start, rng):
+    blocks = energy.hessians(start, tangent_frame(start))
+    projected = np.moveaxis(project_positive(blocks), 2, 0)
+    values = np.linalg.eigvalsh(projected)
+    assert values.min() > -1e-10 * values.max()
+    original = np.linalg.eigvalsh(np.moveaxis(blocks, 2, 0))
+    np.testing.assert_allclose(values, np.maximum(original, 0), atol=1e-10 * values.max())
+    assert original.min() < -1e-3  # the projection has something to do
+
+
+def test_assembly_agrees_with_a_coordinate_list(rng):
+    mesh = icosphere(1)
+    count = len(mesh.vertices)
+    blocks = rng.standard_normal((6, 6, len(mesh.faces)))
+    diagonal = rng.standard_normal(2 * count)
+    dense = np.diag(diagonal)
+    unknowns = (2 * mesh.faces[:, :, None] + np.arange(2)).reshape(-1, 6)
+    for t, unknown in enumerate(unknowns):
+        dense[np.ix_(unknown, unknown)] += blocks[:, :, t]
+    matrix = HessianPattern(mesh.faces, count).assemble(blocks, diagonal)
+    assert matrix.has_canonical_format
+    np.testing.assert_allclose(matrix.toarray(), dense, atol=1e-13)
+
+
+def test_determinant_keeps_its_sign_on_tiny_triangles():
+    centre = sample_sphere(1, np.random.default_rng(3))[0]
+    frame = tangent_frame(centre[None])[0]
+    u = unit(centre + 1e-9 * np.array([[0, 0], [1.0, 0], [0, 1.0]]) @ frame.T)
+    faces = np.array([[0, 1, 2]])
+    flat = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), faces)
+    assert np.isfinite(SymmetricDirichlet(flat).energy(u))
+    assert SymmetricDirichlet(flat).energy(u[[0, 2, 1]]) == np.inf

@@ -1,0 +1,103 @@
+import numpy as np
+import pytest
+
+from gensp.geometry.alignment import ball_inversion
+from gensp.geometry.mesh import Mesh, normalize
+from gensp.geometry.newton import refine_map
+from gensp.geometry.predicates import bad_faces, map_degree
+from gensp.geometry.refine import invert, thin_faces, untangle
+from gensp.geometry.sphere import icosphere, tangent_frame, unit
+
+
+def _jittered(level, size, rng):
+    """An icosphere map whose vertices strayed by `size` edge lengths."""
+    ball = icosphere(level)
+    edge = np.linalg.norm(np.diff(ball.vertices[ball.edges], axis=1), axis=2).mean()
+    return unit(ball.vertices + size * edge * rng.standard_normal(ball.vertices.shape))
+
+
+def test_inversion_of_the_generated_vertices_is_exact(bumpy):
+    ball = icosphere(3)
+    np.testing.assert_allclose(
+        invert(bumpy.vertices, bumpy, ball.vertices), ball.vertices, atol=1e-9
+    )
+
+
+def test_inversion_of_surface_points_is_barycentric(bumpy, rng):
+    ball = icosphere(3)
+    weights = rng.dirichlet(np.ones(3), len(ball.faces))
+    points = np.einsum("mj,mjc->mc", weights, bumpy.vertices[bumpy.faces])
+    expected = unit(np.einsum("mj,mjc->mc", weights, ball.vertices[ball.faces]))
+    found = invert(points, bumpy, ball.vertices)
+    np.testing.assert_allclose(found, expected, atol=1e-8)
+
+
+def test_a_map_without_folds_is_left_alone():
+    ball = icosphere(3)
+    untangled = untangle(ball.vertices, ball.faces)
+    assert (untangled.clean, untangled.rounds) == (True, 0)
+    np.testing.assert_allclose(untangled.sphere, ball.vertices, atol=1e-15)
+
+
+@pytest.mark.parametrize("size", [0.35, 0.5, 0.7])
+def test_randomly_folded_faces_are_repaired(size, rng):
+    ball, folded = icosphere(4), _jittered(4, size, rng)
+    assert bad_faces(folded, ball.faces).mean() > 0.02
+    untangled = untangle(folded, ball.faces)
+    assert untangled.clean
+    assert untangled.rounds > 0
+    assert not bad_faces(untangled.sphere, ball.faces).any()
+    assert map_degree(untangled.sphere, ball.faces) == 1
+
+
+def test_only_the_neighbourhood_of_a_fold_moves(rng):
+    ball = icosphere(4)
+    folded = ball.vertices.copy()
+    folded[0] = unit(folded[0] + 0.3 * tangent_frame(folded[:1])[0, :, 0])
+    assert bad_faces(folded, ball.faces).any()
+    untangled = untangle(folded, ball.faces)
+    assert untangled.clean
+    far = ball.vertices @ ball.vertices[0] < 0
+    np.testing.assert_allclose(untangled.sphere[far], ball.vertices[far], atol=1e-15)
+
+
+def test_folds_are_repaired_at_any_scale():
+    ball = icosphere(4)
+    # A conformal squeeze: the triangles around one pole shrink to areas of 1e-17.
+    squeezed = ball_inversion(ball.vertices, np.array([0.0, 0.0, 1 - 1e-7]))
+    assert not bad_faces(squeezed, ball.faces).any()
+    smallest = Mesh(squeezed, ball.faces).face_areas.argmin()
+    assert Mesh(squeezed, ball.faces).face_areas.min() < 1e-16
+    first, second, _ = ball.faces[smallest]
+    folded = squeezed.copy()
+    folded[[first, second]] = squeezed[[second, first]]
+    assert bad_faces(folded, ball.faces).any()
+    untangled = untangle(folded, ball.faces)
+    assert untangled.clean
+    assert not bad_faces(untangled.sphere, ball.faces).any()
+
+
+def test_hopeless_map_is_said_to_be_unclean():
+    ball = icosphere(2)
+    collapsed = np.repeat(ball.vertices[:1], len(ball.vertices), axis=0)
+    assert not untangle(collapsed, ball.faces, max_rounds=3).clean
+
+
+def test_thin_faces_are_relative_to_their_own_size():
+    needle = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 1e-8, 0]])
+    fat = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 0.9, 0]])
+    vertices = np.concatenate([needle, fat, 1e-9 * needle, 1e-9 * fat])
+    faces = np.arange(12).reshape(4, 3)
+    assert thin_faces(vertices, faces, 1e-7).tolist() == [True, False, True, False]
+
+
+def test_folded_prediction_becomes_a_refined_bijection(bumpy, rng):
+    shape = normalize(bumpy)
+    noise = 0.15 * rng.standard_normal(shape.vertices.shape)
+    generated = Mesh(shape.vertices + noise, shape.faces)
+    predicted = invert(shape.vertices, generated, icosphere(3).vertices)
+    assert bad_faces(predicted, shape.faces).any()
+    untangled = untangle(predicted, shape.faces)
+    refined = refine_map(shape, untangled.sphere, target=predicted, pull=30.0)
+    assert not bad_faces(refined.sphere, shape.faces).any()
+    assert map_degree(refined.sphere, shape.faces) == 1
