@@ -39,7 +39,7 @@ def extract_surface(
     ----------
     field
         Signed distances, or the like, (k,) at points (k, 3); negative inside. A finer grid is
-        laid only where they are below the diagonal of a coarse cell.
+        laid only where they are small against a coarse cell, so their slope should be near 1.
     resolution
         Cells along the longest side, rounded up to a power of two times at least 8.
     vertices
@@ -103,7 +103,7 @@ def _sampled(evaluate: Callable[[Tensor], Tensor], grid: _Grid) -> Float[Tensor,
     shape = [count // step + 1 for count in grid.cells]
     values = evaluate(step * torch.ones(shape).nonzero()).reshape(shape)
     while step > 1:
-        active = _near_surface(values, reach=float(np.sqrt(3) * grid.cell * step))
+        active = _near_surface(values, reach=0.75 * 3**0.5 * grid.cell * step)
         step //= 2
         shape = [count // step + 1 for count in grid.cells]
         values = functional.interpolate(
@@ -117,8 +117,8 @@ def _sampled(evaluate: Callable[[Tensor], Tensor], grid: _Grid) -> Float[Tensor,
 def _near_surface(values: Float[Tensor, "a b c"], reach: float) -> Bool[Tensor, "i j k"]:
     """Cells that the surface may cross: corners of both signs, or one nearer than `reach`.
 
-    Some corner is within half a diagonal of any point of the cell, so a reach of one diagonal
-    holds for fields twice as steep as a distance.
+    Some corner is within half a diagonal of any point of the cell, so a reach of three quarters
+    holds for fields half as steep again as a distance.
     """
 
     def largest(corners: Float[Tensor, "a b c"]) -> Float[Tensor, "i j k"]:
