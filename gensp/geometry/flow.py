@@ -1,0 +1,259 @@
+"""Conformalised mean curvature flow to the sphere, and the score of a flow (paper §3.1, Eq. 1).
+
+Source of the flow: Kazhdan, Solomon and Ben-Chen 2012, "Can mean-curvature flow be modified to be
+non-singular?": the stiffness stays that of the input, the mass follows the moving shape.
+"""
+
+from dataclasses import dataclass
+
+import igl
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Bool, Float, Int
+
+from gensp.errors import DegenerateMesh
+from gensp.geometry.arap import ArapSystem
+from gensp.geometry.linear import SPDSolver
+from gensp.geometry.mesh import Mesh, normalize
+from gensp.geometry.operators import cotangent_laplacian, lumped_mass
+from gensp.geometry.sphere import icosphere
+
+# A triangle below this share of its first area (both shapes at 4π) no longer carries a shape.
+SMALLEST_SHARE = 1e-6
+_PATIENCE = 10
+_STILL = 5e-3
+_SPHERE_LEVEL = 4
+
+
+@dataclass(frozen=True)
+class StepSchedule:
+    """Step sizes δ_k = min(first · growth^k, largest) of the flow; growth 1 is a constant."""
+
+    first: float = 0.005
+    growth: float = 1.2
+    largest: float = 0.2
+
+    def __call__(self, k: int) -> float:
+        """Step size of step k."""
+        # The exponent is bounded, as the power of a long flow would overflow.
+        return min(self.first * self.growth ** min(k, 500), self.largest)
+
+    def __str__(self) -> str:
+        ramp = f"*{self.growth:g}^k<={self.largest:g}"
+        return f"{self.first:g}" + (ramp if self.growth > 1 and self.first < self.largest else "")
+
+
+@dataclass(frozen=True)
+class Flow:
+    """Shapes on the way from an input (first) to the sphere (last).
+
+    Attributes
+    ----------
+    vertices
+        Positions (t, n, 3), each centred with area 4π.
+    times
+        Accumulated step sizes (t,).
+    arc_length
+        Accumulated area-weighted root-mean-square displacement (t,).
+    sphere_error
+        max |‖x‖ − 1| of every shape (t,).
+    sound
+        Whether all triangles still carry area (t,); where not, a shape is to be used as a
+        geometry only, never with these faces.
+    converged, reason
+        Whether the sphere was reached, and why the flow ended: "sphere", "stalled", "steps"
+        or "degenerate: …".
+    """
+
+    vertices: Float[np.ndarray, "t n 3"]
+    faces: Int[np.ndarray, "m 3"]
+    times: Float[np.ndarray, " t"]
+    arc_length: Float[np.ndarray, " t"]
+    sphere_error: Float[np.ndarray, " t"]
+    sound: Bool[np.ndarray, " t"]
+    converged: bool
+    reason: str
+
+    def at(self, fractions: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k n 3"]:
+        """Shapes at fractions in [0, 1] of the arc length, linear between steps."""
+        left, weight = self._between(fractions)
+        right = np.minimum(left + 1, len(self.times) - 1)
+        weight = weight[:, None, None]
+        return (1 - weight) * self.vertices[left] + weight * self.vertices[right]
+
+    def sound_at(self, fractions: Float[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+        """Whether the steps around the fractions have sound triangles."""
+        left, weight = self._between(fractions)
+        right = np.minimum(left + (weight > 0), len(self.times) - 1)
+        return self.sound[left] & self.sound[right]
+
+    def _between(
+        self, fractions: Float[np.ndarray, " k"]
+    ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+        # Ties (a flow that does not move) resolve to the first step.
+        position = np.interp(
+            np.clip(fractions, 0, 1) * self.arc_length[-1],
+            self.arc_length,
+            np.arange(len(self.arc_length), dtype=np.float64),
+        )
+        left = np.floor(position).astype(np.int64)
+        return left, position - left
+
+
+def cmcf(
+    mesh: Mesh,
+    *,
+    step: StepSchedule | None = None,
+    max_steps: int = 100,
+    tolerance: float = 0.015,
+    intrinsic: bool = True,
+) -> Flow:
+    """Flow a genus-0 mesh to the sphere: (M_t + δ L) x_{t+1} = M_t x_t, re-centred, area 4π.
+
+    Parameters
+    ----------
+    mesh
+        The input at any scale.
+    step
+        Step sizes; by default 0.005·1.2^k up to 0.2.
+    tolerance
+        The flow ends when every vertex is this close to the unit sphere. Resolution sets a
+        floor of about 0.005, so smaller values end in "stalled".
+    intrinsic
+        Stiffness of the intrinsic Delaunay triangulation: no negative cotangents, hence fewer
+        folds on the sphere. False is the plain cotangent matrix of the original.
+
+    Notes
+    -----
+    Limbs shrink to hairs long before the sphere is reached and their triangles vanish; `sound`
+    tells from where. The flow is cut before the first step that cannot be computed, and, where it
+    drifts away from the sphere again, at the closest step. Nothing in it is ever not a number.
+
+    Raises
+    ------
+    DegenerateMesh
+        Not even the first step can be computed.
+    """
+    step = step or StepSchedule()
+    mesh = normalize(mesh)
+    track, stiffness, solver = _Track(mesh), _stiffness(mesh, intrinsic), None
+    reason = "steps"
+    for k in range(max_steps):
+        before = track.shapes[-1].vertices
+        mass = lumped_mass(before, mesh.faces)
+        try:
+            solver = _factored(solver, sp.diags(mass, format="csc") + step(k) * stiffness, mesh)
+            shape = _renormalized(mesh, solver.solve(mass[:, None] * before))
+        except (np.linalg.LinAlgError, DegenerateMesh) as error:
+            reason = f"degenerate: {error}"
+            break
+        track.add(shape, _displacement(before, shape.vertices, mass))
+        if track.errors[-1] < tolerance:
+            reason = "sphere"
+            break
+        if track.stalled():
+            reason = "stalled"
+            break
+    if len(track.shapes) == 1:
+        raise DegenerateMesh(f"{mesh.name}: {reason}; a mesh that can flow is required; remesh it")
+    return track.flow(step, reason)
+
+
+class _Track:
+    """The shapes of a flow so far, with what decides when it ends."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.shapes, self.moved = [mesh], [0.0]
+        self.errors, self.sound = [_sphere_error(mesh)], [True]
+
+    def add(self, shape: Mesh, displacement: float) -> None:
+        self.shapes.append(shape)
+        self.moved.append(displacement)
+        self.errors.append(_sphere_error(shape))
+        share = shape.face_areas / self.shapes[0].face_areas
+        self.sound.append(bool((share > SMALLEST_SHARE).all()))
+
+    def stalled(self) -> bool:
+        since_best = len(self.errors) - 1 - int(np.argmin(self.errors))
+        return since_best >= _PATIENCE and self.moved[-1] < _STILL
+
+    def flow(self, step: StepSchedule, reason: str) -> Flow:
+        kept = int(np.argmin(self.errors)) + 1 if reason == "stalled" else len(self.shapes)
+        kept = max(kept, 2)
+        steps = [step(k) for k in range(kept - 1)]
+        return Flow(
+            vertices=np.stack([shape.vertices for shape in self.shapes[:kept]]),
+            faces=self.shapes[0].faces,
+            times=np.concatenate([[0.0], np.cumsum(steps)]),
+            arc_length=np.cumsum(self.moved[:kept]),
+            sphere_error=np.array(self.errors[:kept]),
+            sound=np.array(self.sound[:kept]),
+            converged=reason == "sphere",
+            reason=reason,
+        )
+
+
+def _stiffness(mesh: Mesh, intrinsic: bool) -> sp.csc_matrix:
+    if not intrinsic:
+        return cotangent_laplacian(mesh)
+    return sp.csc_matrix(-igl.intrinsic_delaunay_cotmatrix(mesh.vertices, mesh.faces)[0])
+
+
+def _factored(solver: SPDSolver | None, matrix: sp.csc_matrix, mesh: Mesh) -> SPDSolver:
+    # The pattern never changes along the flow, so it is analysed once.
+    if solver is None:
+        return SPDSolver(matrix, mesh.vertices)
+    solver.refactor(matrix)
+    return solver
+
+
+def _renormalized(mesh: Mesh, vertices: Float[np.ndarray, "n 3"]) -> Mesh:
+    area = mesh.with_vertices(vertices).area
+    if not np.isfinite(area) or area <= np.finfo(np.float64).tiny:
+        raise DegenerateMesh(f"the step leaves an area of {area:g}")
+    return normalize(mesh.with_vertices(vertices))
+
+
+def _sphere_error(mesh: Mesh) -> float:
+    return float(np.abs(np.linalg.norm(mesh.vertices, axis=1) - 1).max())
+
+
+def _displacement(before: np.ndarray, after: np.ndarray, mass: np.ndarray) -> float:
+    return float(np.sqrt(mass @ np.sum((after - before) ** 2, axis=1) / mass.sum()))
+
+
+def flow_score(flow: Flow, mesh: Mesh, *, weight: float = 1e-3, samples: int = 24) -> float:
+    """Score s of a flow: how far from the sphere it ends and how much it deforms (paper Eq. 1).
+
+    d²(S_0, S(1)) + η ∫_0^1 e_deform(S(t), S) dt, with t the fraction of arc length, the integral
+    by the midpoint rule. e_deform is divided by the edge energy Σ_i Σ_j ‖p_i − p_j‖² of the
+    input, so that η has the same meaning for every mesh.
+
+    Parameters
+    ----------
+    mesh
+        The input of the flow, with the flow's faces.
+    weight
+        η; at most 1e-3, as the integral rewards flows that do not move.
+    """
+    rest = ArapSystem(normalize(mesh), weights="uniform")
+    middles = (np.arange(samples) + 0.5) / samples
+    # One shape at a time: a flow of a large mesh need not be in memory twice.
+    energies = [rest.energy(flow.at(np.array([t]))[0]) for t in middles]
+    end = Mesh(flow.vertices[-1], flow.faces)
+    return sphere_distance(end) ** 2 + weight * float(np.mean(energies)) / rest.edge_energy
+
+
+def sphere_distance(mesh: Mesh) -> float:
+    """Two-sided Hausdorff distance to the unit sphere, sampled at vertices of both surfaces."""
+    ball = icosphere(_SPHERE_LEVEL).vertices
+    squared = igl.point_mesh_squared_distance(ball, mesh.vertices, mesh.faces)[0]
+    return max(_sphere_error(mesh), float(np.sqrt(np.max(squared))))
+
+
+def accepted(scores: Float[np.ndarray, " k"], factor: float = 2.0) -> Bool[np.ndarray, " k"]:
+    """The rule s < 2δ, δ the median of the scores (paper §3.1); infinite scores never pass."""
+    finite = np.isfinite(scores)
+    if not finite.any():
+        return finite
+    return finite & (scores < factor * np.median(scores[finite]))
