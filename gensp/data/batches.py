@@ -96,10 +96,13 @@ class EpochSampler(DistributedSampler[Any]):
 def epoch_loader(
     dataset: EpochDataset[BatchT], *, batch_size: int, rank: int = 0, ranks: int = 1
 ) -> DataLoader[BatchT]:
-    """Batches of `batch_size` shapes, S_0 included; Lightning sets the sampler's epoch."""
+    """Batches of `batch_size` shapes over all ranks, S_0 included in each rank's share.
+
+    Lightning sets the sampler's epoch.
+    """
     sampler = EpochSampler(dataset, num_replicas=ranks, rank=rank, shuffle=True, seed=dataset.seed)
     return DataLoader(
-        dataset, batch_size=max(1, batch_size - 1), sampler=sampler, collate_fn=_as_is
+        dataset, batch_size=max(1, batch_size // ranks - 1), sampler=sampler, collate_fn=_as_is
     )
 
 

@@ -32,10 +32,10 @@ class GroundTruth:
 
 
 def common_points(
-    first: GroundTruth | None, second: GroundTruth | None
+    first: GroundTruth, second: GroundTruth
 ) -> tuple[Int[np.ndarray, " c"], Int[np.ndarray, " c"]]:
     """Rows of `first` and `second` that are the same points; none without a shared template."""
-    if first is None or second is None or first.template != second.template:
+    if first.template != second.template:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     _, rows, others = np.intersect1d(first.ids, second.ids, return_indices=True)
     return rows, others

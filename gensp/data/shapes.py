@@ -129,6 +129,17 @@ class ShapeCollection:
     def __len__(self) -> int:
         return len(self._shapes)
 
+    # Equal where the files are: copies in worker processes share what is cached per collection.
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ShapeCollection) and self._identity == other._identity
+
+    def __hash__(self) -> int:
+        return hash(self._identity)
+
+    @property
+    def _identity(self) -> tuple[Any, ...]:
+        return self.name, tuple(self._shapes.values()), self._keypoint_file
+
     def ids(self, *splits: str) -> list[str]:
         """Ids of the given splits (all without arguments), in the collection's order."""
         return [s.id for s in self._shapes.values() if not splits or s.split in splits]

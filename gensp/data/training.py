@@ -29,7 +29,7 @@ from gensp.data.shapes import SPHERE
 from gensp.errors import MissingData
 from gensp.files import load_npz
 from gensp.geometry.mesh import Mesh
-from gensp.geometry.sphere import icosphere
+from gensp.geometry.sphere import icosphere, icosphere_of
 from gensp.runs import Run
 
 _SPHERE_LEVEL = 5
@@ -42,7 +42,7 @@ class Batching:
     Attributes
     ----------
     size
-        Shapes in a batch, S_0 included.
+        Shapes in a batch over all ranks, S_0 included.
     points
         Samples (II) or icosphere vertices (III-b, IV) of every shape.
     surface_points
@@ -209,21 +209,3 @@ class CorrespondenceModule(FitModule):
             seed=self.seed,
             passes=self.batching.passes,
         )
-
-
-def icosphere_of(vertices: int) -> Mesh:
-    """The icosphere with that many vertices.
-
-    Raises
-    ------
-    MissingData
-        No level has that many.
-    """
-    level = round(math.log((vertices - 2) / 10, 4)) if vertices > 2 else 0
-    ball = icosphere(max(level, 0))
-    if len(ball.vertices) != vertices:
-        raise MissingData(
-            f"correspondences of {vertices} vertices belong to no icosphere; 12, 42, 162, 642, … "
-            "are required; run stage=correspond again"
-        )
-    return ball

@@ -6,6 +6,7 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 
+from gensp.errors import MissingData
 from gensp.geometry.mesh import Mesh
 
 
@@ -31,6 +32,23 @@ def icosphere(level: int) -> Mesh:
     mesh.vertices.setflags(write=False)
     mesh.faces.setflags(write=False)
     return Mesh(mesh.vertices, mesh.faces, "sphere")
+
+
+def icosphere_of(vertices: int) -> Mesh:
+    """The icosphere that has so many vertices.
+
+    Raises
+    ------
+    MissingData
+        None has.
+    """
+    for level in range(11):
+        if 10 * 4**level + 2 == vertices:
+            return icosphere(level)
+    raise MissingData(
+        f"{vertices} vertices belong to no icosphere; 12, 42, 162, 642, 2562, … are required; "
+        "make the values again with the stage that wrote them"
+    )
 
 
 def _midpoint_subdivision(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,139 @@
+"""How well spherical maps of several shapes agree (paper §4.1).
+
+Everything follows from one vector: the distance on S_j between where two maps say a point of S_i
+lies, m_j⁻¹(R m_i(x)), and where the ground truth m_ij(x) has it, with R the identity or the best
+rotation of the sphere. The measures differ in how the points are weighted.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import cKDTree
+
+from gensp.geometry.alignment import best_rotation
+from gensp.geometry.distance import ClosestPointTree
+from gensp.geometry.mesh import Mesh
+from gensp.geometry.points import SurfacePoints, sample_surface
+from gensp.geometry.sphere import sample_sphere
+from gensp.geometry.spherical_map import SphericalMap
+
+_FIRST_BATCH = 64
+
+
+def correspondence_error(
+    map_i: SphericalMap,
+    map_j: SphericalMap,
+    at_i: SurfacePoints,
+    at_j: SurfacePoints,
+    rotation: Float[np.ndarray, "3 3"] | None = None,
+) -> Float[np.ndarray, " k"]:
+    """Implied-correspondence error ‖m_j⁻¹(R m_i(x_k)) − m_ij(x_k)‖ / √area(S_j).
+
+    Parameters
+    ----------
+    at_i, at_j
+        The same k ground-truth points x_k on S_i and m_ij(x_k) on S_j.
+    rotation
+        R; none is the identity.
+    """
+    image = map_i.to_sphere(at_i)
+    implied = map_j.to_surface(image if rotation is None else image @ rotation.T)
+    true = at_j.on(map_j.surface, map_j.faces)
+    return np.linalg.norm(implied - true, axis=1) / np.sqrt(map_j.mesh.area)
+
+
+def pair_rotation(
+    map_i: SphericalMap,
+    map_j: SphericalMap,
+    at_i: SurfacePoints,
+    at_j: SurfacePoints,
+    weights: Float[np.ndarray, " k"] | None = None,
+) -> Float[np.ndarray, "3 3"]:
+    """Rotation R of the sphere that best takes m_i(x_k) to m_j(m_ij(x_k))."""
+    return best_rotation(map_i.to_sphere(at_i), map_j.to_sphere(at_j), weights)
+
+
+def sphere_uniform_weights(
+    map: SphericalMap, at: SurfacePoints, count: int, generator: np.random.Generator
+) -> Float[np.ndarray, " k"]:
+    """Weights of surface points that stand for uniform samples of the sphere, summing to one.
+
+    Every sample is taken to the surface by m⁻¹ and counted for the nearest of the points: the
+    paper's choice of sample points. It flatters maps that starve limbs.
+    """
+    samples = map.to_surface(sample_sphere(count, generator))
+    return _share_of_nearest(samples, at.on(map.surface, map.faces))
+
+
+def area_uniform_weights(
+    map: SphericalMap, at: SurfacePoints, count: int, generator: np.random.Generator
+) -> Float[np.ndarray, " k"]:
+    """Weights of surface points that stand for area-uniform samples of the surface."""
+    samples = sample_surface(map.mesh.face_areas, count, generator).on(map.surface, map.faces)
+    return _share_of_nearest(samples, at.on(map.surface, map.faces))
+
+
+def _share_of_nearest(
+    samples: Float[np.ndarray, "s 3"], points: Float[np.ndarray, "k 3"]
+) -> Float[np.ndarray, " k"]:
+    nearest = cKDTree(points).query(samples)[1]
+    return np.bincount(nearest, minlength=len(points)) / len(samples)
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Distances from a shape to a surface that should cover it, over √area of the shape."""
+
+    mean: float
+    max: float
+
+
+def coverage(mesh: Mesh, surface: Mesh) -> Coverage:
+    """How much of a shape a surface leaves out: area-weighted mean, and max, over its vertices."""
+    distance = ClosestPointTree(surface).query(mesh.vertices).distance / np.sqrt(mesh.area)
+    third = np.repeat(mesh.face_areas / 3, 3)
+    weights = np.bincount(mesh.faces.reshape(-1), third, minlength=len(mesh.vertices))
+    return Coverage(float(np.average(distance, weights=weights)), float(distance.max()))
+
+
+class HausdorffIndex:
+    """One shape prepared for Hausdorff distances to many others."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.mesh = mesh
+
+    @cached_property
+    def _surface(self) -> ClosestPointTree:
+        return ClosestPointTree(self.mesh)
+
+    @cached_property
+    def _vertices(self) -> cKDTree:
+        return cKDTree(self.mesh.vertices)
+
+    def distance(self, other: "HausdorffIndex") -> float:
+        """Two-sided Hausdorff distance, vertices to surface."""
+        return max(self._farthest(other.mesh.vertices), other._farthest(self.mesh.vertices))
+
+    def _farthest(self, points: Float[np.ndarray, "k 3"]) -> float:
+        # The nearest vertex bounds the distance to the surface from above: only the points whose
+        # bound exceeds the best distance found can be the farthest.
+        bound = self._vertices.query(points)[0]
+        order = np.argsort(-bound)
+        first, rest = order[:_FIRST_BATCH], order[_FIRST_BATCH:]
+        best = float(self._surface.query(points[first]).distance.max())
+        rest = rest[bound[rest] > best]
+        if len(rest):
+            best = max(best, float(self._surface.query(points[rest]).distance.max()))
+        return best
+
+
+def nearest_neighbours(distances: Float[np.ndarray, "n n"], count: int) -> Bool[np.ndarray, "n n"]:
+    """Edges of the graph that joins every shape to its `count` nearest others (paper §4.1)."""
+    joined = np.zeros(distances.shape, dtype=bool)
+    apart = distances + np.diag(np.full(len(distances), np.inf))
+    count = min(count, len(distances) - 1)
+    nearest = np.argsort(apart, axis=1, kind="stable")[:, :count]
+    np.put_along_axis(joined, nearest, True, axis=1)
+    return joined | joined.T

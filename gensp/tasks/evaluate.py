@@ -1,0 +1,136 @@
+"""Work on one shape of the evaluation: its own row, and its share of the pairs."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from gensp.compute import Row, finished_row
+from gensp.data.ground_truth import GroundTruth
+from gensp.data.shapes import ShapeCollection
+from gensp.errors import MissingData
+from gensp.files import load_npz, write_json
+from gensp.geometry.consistency import coverage
+from gensp.geometry.mesh import Mesh
+from gensp.geometry.sphere import icosphere_of
+from gensp.geometry.spherical_map import SphericalMap, load_map
+from gensp.tasks.pairs import EvaluatedMap, Record, pair_records
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Evaluate the map of one shape.
+
+    Attributes
+    ----------
+    parameterize, folder
+        Where the maps are, and where rows and pairs are written.
+    level
+        Icosphere level of the remeshed surface whose coverage is measured.
+    samples
+        Random points that stand for the sphere, and for the surface, in c.
+    """
+
+    parameterize: Path
+    folder: Path
+    collection: ShapeCollection
+    level: int = 5
+    samples: int = 10_000
+
+    def __call__(self, id: str) -> Row:
+        """Write `pairs/<id>.json` and give the shape's row."""
+        row = self._row(id)
+        pairs = [record for other in self._partners(id) for record in self._pair(id, other)]
+        write_json(self.folder / "pairs" / f"{id}.json", pairs)
+        return row
+
+    def _partners(self, id: str) -> list[str]:
+        """The shapes whose pair with this one is measured here: half of all, each pair once."""
+        ids = mapped_ids(self.collection, self.parameterize)
+        place = ids.index(id)
+        return [
+            other
+            for index, other in enumerate(ids)
+            if index != place and (index + place) % 2 == (index > place)
+        ]
+
+    def _pair(self, id: str, other: str) -> list[Record]:
+        names = {"first": id, "second": other, "group": self._group(id, other)}
+        return [names | record for record in pair_records(self._map(id), self._map(other))]
+
+    def _group(self, id: str, other: str) -> str:
+        split = self.collection.shape(id).split
+        return split if split == self.collection.shape(other).split else "mixed"
+
+    def _map(self, id: str) -> EvaluatedMap:
+        path = map_path(self.parameterize, id)
+        return _evaluated(path, path.stat().st_mtime_ns, self.collection, self.samples)
+
+    def _row(self, id: str) -> Row:
+        evaluated = self._map(id)
+        map, shape = evaluated.map, self.collection.shape(id)
+        bad, distortion = int(map.bad_faces().sum()), map.distortion()
+        made = finished_row(self.parameterize, id) or {}
+        return {
+            "id": id,
+            "split": shape.split,
+            "template": shape.template,
+            "vertices": len(map.surface),
+            "faces": len(map.faces),
+            "sigma_mean": distortion.mean,
+            "sigma_max": distortion.max,
+            "sigma_area": distortion.area_weighted_mean,
+            "conformal_mean": distortion.conformal_mean,
+            "conformal_max": distortion.conformal_max,
+            "bad_faces": bad,
+            "bad_faces_percent": 100 * bad / len(map.faces),
+            "degree": map.degree(),
+            **_coverage("coverage", map.mesh, map.icosphere_remesh(self.level)),
+            **self._prediction(id, map.mesh),
+            "seconds": made.get("seconds"),
+        }
+
+    def _prediction(self, id: str, mesh: Mesh) -> Row:
+        """Coverage of the surface that the generator made of the icosphere, if there is one."""
+        path = self.parameterize / "predictions" / f"{id}.npz"
+        generated = load_npz(path).get("generated") if path.is_file() else None
+        if generated is None:
+            return {}
+        surface = Mesh(generated.astype(float), icosphere_of(len(generated)).faces, id)
+        return _coverage("prediction_coverage", mesh, surface)
+
+
+def _coverage(name: str, mesh: Mesh, surface: Mesh) -> Row:
+    found = coverage(mesh, surface)
+    return {f"{name}_mean": found.mean, f"{name}_max": found.max}
+
+
+def map_path(parameterize: Path, id: str) -> Path:
+    """Where the map of a shape is kept."""
+    return parameterize / "maps" / f"{id}.npz"
+
+
+def mapped_ids(collection: ShapeCollection, parameterize: Path) -> list[str]:
+    """Shapes of a collection that have a map, in its order."""
+    return [id for id in collection.ids() if map_path(parameterize, id).is_file()]
+
+
+# A worker meets every map in many pairs.
+@lru_cache(maxsize=128)
+def _evaluated(
+    path: Path, modified: int, collection: ShapeCollection, samples: int
+) -> EvaluatedMap:
+    map = load_map(path)
+    truth = collection.ground_truth(map.name)
+    keypoints = collection.keypoints(map.name)
+    _require_fit(map, truth, path)
+    _require_fit(map, keypoints, path)
+    return EvaluatedMap(map, truth, keypoints, samples=samples)
+
+
+def _require_fit(map: SphericalMap, truth: GroundTruth | None, path: Path) -> None:
+    if truth is not None and len(truth.ids) and truth.at.faces.max() >= len(map.faces):
+        raise MissingData(
+            f"{path}: has {len(map.faces)} faces, but its ground truth names face "
+            f"{truth.at.faces.max()}; ground truth of this very mesh is required; correct or "
+            f"remove the entry of {map.name}"
+        )

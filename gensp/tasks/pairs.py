@@ -1,0 +1,113 @@
+"""Pairs of spherical maps: implied correspondences against ground truth (paper §4.1)."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from gensp.data.ground_truth import GroundTruth, common_points
+from gensp.geometry.consistency import (
+    HausdorffIndex,
+    area_uniform_weights,
+    correspondence_error,
+    pair_rotation,
+    sphere_uniform_weights,
+)
+from gensp.geometry.mesh import normalize
+from gensp.geometry.points import SurfacePoints
+from gensp.geometry.spherical_map import SphericalMap
+
+# The errors of a pair are kept at these quantiles, for the curve "fraction below x".
+QUANTILES = (np.arange(64) + 0.5) / 64
+Record = dict[str, Any]
+Points = tuple[SurfacePoints, SurfacePoints]
+
+
+class EvaluatedMap:
+    """One map at area 4π with what all of its pairs share."""
+
+    def __init__(
+        self,
+        map: SphericalMap,
+        truth: GroundTruth | None = None,
+        keypoints: GroundTruth | None = None,
+        *,
+        samples: int = 10_000,
+    ) -> None:
+        self.map = replace(map, surface=normalize(map.mesh).vertices)
+        self.truth, self.keypoints = truth, keypoints
+        self.samples = samples
+        self.hausdorff = HausdorffIndex(self.map.mesh)
+
+    @cached_property
+    def weights(self) -> Mapping[str, Float[np.ndarray, " k"]]:
+        """Ground-truth points as samples uniform on the sphere (c) and on the surface (c_area)."""
+        if self.truth is None:
+            return {}
+        at, count = self.truth.at, self.samples
+        return {
+            "c": sphere_uniform_weights(self.map, at, count, np.random.default_rng(0)),
+            "c_area": area_uniform_weights(self.map, at, count, np.random.default_rng(1)),
+        }
+
+
+def pair_records(a: EvaluatedMap, b: EvaluatedMap) -> list[Record]:
+    """What is measured between two maps; nothing where no ground truth joins them.
+
+    Shapes of one template are compared at its dense points, others at semantic keypoints.
+    """
+    if a.truth and b.truth:
+        rows, others = common_points(a.truth, b.truth)
+        if len(rows):
+            points = a.truth.take(rows).at, b.truth.take(others).at
+            return [_dense(a, b, points, rows, others)]
+    if a.keypoints and b.keypoints:
+        rows, others = common_points(a.keypoints, b.keypoints)
+        if len(rows):
+            points = a.keypoints.take(rows).at, b.keypoints.take(others).at
+            return [{"kind": "keypoints", "points": len(rows), **_errors(a, b, points)[0]}]
+    return []
+
+
+def _dense(
+    a: EvaluatedMap, b: EvaluatedMap, points: Points, rows: np.ndarray, others: np.ndarray
+) -> Record:
+    record, errors = _errors(a, b, points, a.weights["c_area"][rows])
+    hausdorff = a.hausdorff.distance(b.hausdorff)
+    record = {"kind": "dense", "points": len(rows), **record, "hausdorff": hausdorff}
+    scale = np.sqrt(a.map.mesh.area) / hausdorff if hausdorff > 0 else np.nan
+    for suffix, (there, back) in errors.items():
+        for name in ("c", "c_area"):
+            ahead = _weighted(there, a.weights[name][rows])
+            behind = _weighted(back, b.weights[name][others])
+            record[name + suffix] = float(scale * (ahead + behind) / 2)
+        quantiles = np.quantile(np.concatenate([there, back]), QUANTILES)
+        record["quantiles" + suffix] = [float(f"{value:.4g}") for value in quantiles]
+    return record
+
+
+def _weighted(values: Float[np.ndarray, " k"], weights: Float[np.ndarray, " k"]) -> float:
+    return float(values @ weights / weights.sum()) if weights.sum() > 0 else float("nan")
+
+
+def _errors(
+    a: EvaluatedMap,
+    b: EvaluatedMap,
+    points: Points,
+    weights: Float[np.ndarray, " k"] | None = None,
+) -> tuple[Record, dict[str, tuple[np.ndarray, np.ndarray]]]:
+    """Implied-correspondence errors in both directions, without and with the best rotation."""
+    at_a, at_b = points
+    rotation = pair_rotation(a.map, b.map, at_a, at_b, weights)
+    record: Record = {}
+    errors = {}
+    for suffix, turn in (("", np.eye(3)), ("_rotated", rotation)):
+        there = correspondence_error(a.map, b.map, at_a, at_b, turn)
+        back = correspondence_error(b.map, a.map, at_b, at_a, turn.T)
+        record["error" + suffix] = float((there.mean() + back.mean()) / 2)
+        record["error_max" + suffix] = float(max(there.max(), back.max()))
+        errors[suffix] = (there, back)
+    return record, errors
