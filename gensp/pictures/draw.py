@@ -1,0 +1,392 @@
+"""All pictures of one evaluation and its page, from the folders that the stages left."""
+
+import csv
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from gensp.errors import GenSPError, MissingStage
+from gensp.files import load_npz, read_json
+from gensp.geometry.mesh import Mesh
+from gensp.geometry.spherical_map import SphericalMap, load_map
+from gensp.pictures import sheets
+from gensp.pictures.curves import error_curves, loss_curves, read_history, save_figure
+from gensp.pictures.latent import latent_map
+from gensp.pictures.montage import Tile, save_png
+from gensp.pictures.render import View, look
+from gensp.pictures.report import Page, write_report
+
+TRAINED = ("implicit", "initialize", "finetune")
+
+
+class NotDrawn(GenSPError):
+    """A picture whose material is not there; the message is the reason."""
+
+
+@dataclass(frozen=True)
+class PictureOptions:
+    """How much is drawn.
+
+    Attributes
+    ----------
+    tile
+        Side in pixels of one picture of a shape.
+    frames
+        Pictures of a morph or flow strip.
+    strips
+        Shapes that are drawn as morphs, flows and predictions.
+    turning, turning_faces
+        Shapes that turn in the page, and how many faces each may have.
+    gallery
+        Shapes shown one by one in the page; the folder has all of them.
+    up, azimuth, elevation
+        The view: up axis (x, y, z, or with a minus sign) and degrees.
+    jobs
+        Threads that draw.
+    """
+
+    tile: int = 400
+    frames: int = 7
+    strips: int = 3
+    turning: int = 12
+    turning_faces: int = 20_000
+    gallery: int = 40
+    up: str = "y"
+    azimuth: float = 30.0
+    elevation: float = 15.0
+    jobs: int = 2
+
+    def chosen(self, splits: Mapping[str, str], count: int | None = None) -> list[str]:
+        """A few shapes that stand for all: unseen ones first, evenly through the collection."""
+        rank = {"test": 0, "val": 1, "train": 2}
+        ordered = sorted(splits, key=lambda name: rank.get(splits[name], 3))
+        first = [name for name in ordered if splits[name] == splits[ordered[0]]]
+        wanted = self.strips if count is None else count
+        pool = first if len(first) >= wanted else ordered
+        places = np.linspace(0, len(pool) - 1, min(wanted, len(pool))).round().astype(int)
+        return [pool[place] for place in places]
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What was drawn: files by kind, the page, and what could not be drawn, with the reason."""
+
+    pictures: dict[str, list[Path]]
+    report: Path
+    not_drawn: dict[str, str]
+
+
+@dataclass(frozen=True)
+class Material:
+    """What the stages left to be drawn."""
+
+    folder: Path
+    runs: Mapping[str, Path]
+    splits: Mapping[str, str]
+    title: str
+    summary: Mapping[str, Any] | None
+    morphs: Mapping[str, Sequence[Mesh]]
+    options: PictureOptions
+    maps: Mapping[str, SphericalMap] = field(default_factory=dict)
+
+    @property
+    def pictures(self) -> Path:
+        """Where the pictures go."""
+        return self.folder / "pictures"
+
+    @cached_property
+    def view(self) -> View:
+        """The direction from which all shapes are seen."""
+        return look(self.options.up, self.options.azimuth, self.options.elevation)
+
+    @cached_property
+    def drawn_maps(self) -> dict[str, sheets.MapPictures]:
+        """Every map, drawn once for all sheets."""
+        return sheets.draw_maps(self.maps, self.view, self.options.tile, self.options.jobs)
+
+    @cached_property
+    def sphere(self) -> np.ndarray:
+        """The textured sphere."""
+        return sheets.textured_sphere(self.view, self.options.tile)
+
+    @cached_property
+    def notes(self) -> dict[str, str]:
+        """A line of figures for every shape, from shapes.csv."""
+        table = self.folder / "shapes.csv"
+        if not table.is_file():
+            return {}
+        with open(table, encoding="utf-8", newline="") as file:
+            return {row["id"]: _note(row) for row in csv.DictReader(file)}
+
+    def tile(self, name: str, image: np.ndarray) -> Tile:
+        """A picture of a shape with its name, figures and split."""
+        return Tile(image, name, self.notes.get(name, " "), self.splits.get(name, ""))
+
+    def artefact(self, stage: str, name: str) -> Path:
+        """A file or folder of another stage.
+
+        Raises
+        ------
+        NotDrawn
+            The stage was not part of this run, or left no such file.
+        """
+        if stage not in self.runs:
+            raise NotDrawn(f"this run has no stage {stage}")
+        path = self.runs[stage] / name
+        if not path.exists():
+            raise NotDrawn(f"stage {stage} left no {name}")
+        return path
+
+
+def _note(row: Mapping[str, str]) -> str:
+    words = [
+        f"{word} {float(row[key]):{form}}"
+        for key, word, form in (("sigma_mean", "σ", ".2f"), ("sigma_max", "max", ".4g"))
+        if row.get(key)
+    ]
+    if row.get("bad_faces") and float(row["bad_faces"]) > 0:
+        words.append(f"{float(row['bad_faces']):.0f} bad faces")
+    return " · ".join(words) or " "
+
+
+def contact_sheet(material: Material) -> list[Path]:
+    """The collection in one texture."""
+    tiles = [material.tile(name, drawn.textured) for name, drawn in material.drawn_maps.items()]
+    sheet = sheets.contact_sheet(tiles, material.sphere, material.title)
+    return [save_png(sheet, material.pictures / "contact_sheet.png")]
+
+
+def distortion_sheet(material: Material) -> list[Path]:
+    """The collection painted by σ_t."""
+    tiles = [material.tile(name, drawn.distorted) for name, drawn in material.drawn_maps.items()]
+    sheet = sheets.distortion_sheet(tiles, f"{material.title} · isometric distortion σ")
+    return [save_png(sheet, material.pictures / "distortion.png")]
+
+
+def single_shapes(material: Material) -> list[Path]:
+    """Sphere and shape side by side, a file for every shape."""
+    return [
+        save_png(
+            sheets.map_strip(drawn, material.sphere, name, material.notes.get(name, " ")),
+            material.pictures / "shapes" / f"{name}.png",
+        )
+        for name, drawn in material.drawn_maps.items()
+    ]
+
+
+def morph_strips(material: Material) -> list[Path]:
+    """The generator's surfaces on the way from the sphere to a shape."""
+    if not material.morphs:
+        raise NotDrawn("this method has no generator")
+    size = _strip_tile(material)
+    rows = [
+        sheets.morph_tiles(meshes, name, material.view, size)
+        for name, meshes in material.morphs.items()
+    ]
+    return [_strips(material, rows, "morphs", "From the sphere to a shape", "g(t·z)")]
+
+
+def flow_strips(material: Material) -> list[Path]:
+    """Mean curvature flows of input shapes."""
+    folder = material.artefact("augment", "flows")
+    found = {
+        name: split for name, split in material.splits.items() if (folder / f"{name}.npz").exists()
+    }
+    if not found:
+        raise NotDrawn("stage augment left no flow of these shapes")
+    rows = []
+    for name in material.options.chosen(found):
+        flow = load_npz(folder / f"{name}.npz")
+        vertices = flow["vertices"].astype(np.float64)
+        strip = (material.view, _strip_tile(material), material.options.frames)
+        rows.append(sheets.flow_tiles(vertices, flow["faces"].astype(np.int64), name, *strip))
+    note = "conformalised mean curvature flow, equal steps of arc length"
+    return [_strips(material, rows, "flows", "From a shape to the sphere", note)]
+
+
+def prediction_strips(material: Material) -> list[Path]:
+    """Inputs beside the surfaces that the generator makes of them."""
+    folder = material.artefact("parameterize", "predictions")
+    found = {n: material.splits[n] for n in material.maps if (folder / f"{n}.npz").exists()}
+    if not found:
+        raise NotDrawn("this method keeps no prediction")
+    rows = []
+    for name in material.options.chosen(found):
+        generated = load_npz(folder / f"{name}.npz").get("generated")
+        if generated is None:
+            raise NotDrawn("the predictions hold no generated surface")
+        surface = generated.astype(np.float64)
+        size = _strip_tile(material)
+        rows.append(sheets.prediction_tiles(material.maps[name], surface, material.view, size))
+    return [_strips(material, rows, "predictions", "Generated surfaces", "input, g(·, z), map")]
+
+
+def latents(material: Material) -> list[Path]:
+    """The latent space with the tree."""
+    stored = load_npz(material.artefact("implicit", "latents.npz"))
+    tree_file = material.artefact("correspond", "tree.json")
+    tree = read_json(tree_file)
+    ids = [str(name) for name in stored["ids"]]
+    parents, used = tree_edges(tree)
+    drawing = latent_map(ids, stored["codes"], material.splits, parents, used)
+    return [save_figure(drawing, material.pictures / "latents.png")]
+
+
+def tree_edges(tree: Mapping[str, Any]) -> tuple[dict[str, str], frozenset[str]]:
+    """Parent of every node but the root, and the children whose edge was registered.
+
+    A parent is given by its place in the list of ids; the root's is negative.
+    """
+    ids = [str(name) for name in tree["ids"]]
+    parents = {
+        name: ids[place] for name, place in zip(ids, tree["parent"], strict=True) if place >= 0
+    }
+    marks = tree.get("used") or []
+    return parents, frozenset(name for name, mark in zip(ids, marks, strict=False) if mark)
+
+
+def losses(material: Material) -> list[Path]:
+    """The losses of the training stages."""
+    found = {s: material.runs[s] / "history.csv" for s in TRAINED if s in material.runs}
+    histories = {s: read_history(path) for s, path in found.items() if path.is_file()}
+    histories = {s: history for s, history in histories.items() if history}
+    if not histories:
+        raise NotDrawn("this run trained nothing")
+    return [save_figure(loss_curves(histories), material.pictures / "losses.png")]
+
+
+def errors(material: Material) -> list[Path]:
+    """Implied-correspondence errors as the fraction below a threshold."""
+    curves = (material.summary or {}).get("curves") or {}
+    if not any(split != "thresholds" for split in curves):
+        raise NotDrawn("the shapes have no ground truth in common")
+    return [save_figure(error_curves(curves), material.pictures / "errors.png")]
+
+
+def _strip_tile(material: Material) -> int:
+    return max(120, round(material.options.tile * 0.6))
+
+
+def _strips(
+    material: Material, rows: Sequence[Sequence[Tile]], file: str, title: str, note: str
+) -> Path:
+    picture: Image.Image = sheets.strips(rows, title, note)
+    return save_png(picture, material.pictures / f"{file}.png")
+
+
+# Kind, sentence for the page, function. The page shows them in this order.
+KINDS: tuple[tuple[str, str, Callable[[Material], list[Path]]], ...] = (
+    ("Collection", "One texture on the sphere, carried to every shape by its map.", contact_sheet),
+    (
+        "Morphs",
+        "The generator from the sphere to the shape, g(t·z) for t from 0 to 1.",
+        morph_strips,
+    ),
+    ("Predictions", "What the generator makes of an input, and the final map.", prediction_strips),
+    ("Flows", "Stage I: from a shape to the sphere.", flow_strips),
+    ("Latent space", "Codes relative to the sphere's; registered edges are dark.", latents),
+    ("Losses", "Means over the epoch.", losses),
+    ("Errors", "Implied correspondence against ground truth.", errors),
+    ("Distortion", "Isometric distortion σ of every triangle.", distortion_sheet),
+    ("Shape by shape", "", single_shapes),
+)
+
+
+def draw_all(
+    folder: Path,
+    *,
+    runs: Mapping[str, Path],
+    splits: Mapping[str, str],
+    collection: str,
+    method: str = "",
+    summary: Mapping[str, Any] | None = None,
+    morphs: Mapping[str, Sequence[Mesh]] | None = None,
+    settings: Mapping[str, Any] | None = None,
+    options: PictureOptions | None = None,
+) -> Drawn:
+    """Draw everything that an evaluation has material for, and the page that shows it.
+
+    Parameters
+    ----------
+    folder
+        The evaluation's folder; its shapes.csv is read for captions if it is there. Written are
+        pictures/*.png, pictures/shapes/<id>.png and report.html.
+    runs
+        Folders of the stages of this run; "parameterize" is required, others may be absent.
+    splits
+        Split of every shape, in the order of the sheets; shapes without a map are left out.
+    collection, method
+        Words for the titles.
+    summary
+        The evaluation's figures, as written to summary.json.
+    morphs
+        For a few shapes the generator's surfaces g(t·z), on an icosphere's triangles.
+    settings
+        The configuration, shown in the page.
+
+    Raises
+    ------
+    MissingStage
+        There is not one map to draw.
+    """
+    options = options or PictureOptions()
+    title = " · ".join(word for word in (collection, method) if word)
+    material = Material(
+        folder, runs, splits, title, summary, morphs or {}, options, _maps(runs, splits)
+    )
+    pictures: dict[str, list[Path]] = {}
+    not_drawn: dict[str, str] = {}
+    for kind, _, draw in KINDS:
+        try:
+            pictures[kind] = draw(material)
+        except NotDrawn as reason:
+            not_drawn[kind] = str(reason)
+    page = _page(material, pictures, not_drawn, settings or {})
+    report = write_report(page, folder / "report.html", turning_faces=options.turning_faces)
+    return Drawn(pictures, report, not_drawn)
+
+
+def _maps(runs: Mapping[str, Path], splits: Mapping[str, str]) -> dict[str, SphericalMap]:
+    folder = runs["parameterize"] / "maps"
+    files = {name: folder / f"{name}.npz" for name in splits}
+    maps = {name: load_map(path) for name, path in files.items() if path.is_file()}
+    if not maps:
+        raise MissingStage(
+            f"{folder}: holds no map of these {len(splits)} shapes; at least one is required; run "
+            "stage=parameterize first"
+        )
+    return maps
+
+
+def _page(
+    material: Material,
+    pictures: Mapping[str, list[Path]],
+    not_drawn: Mapping[str, str],
+    settings: Mapping[str, Any],
+) -> Page:
+    options, splits = material.options, {n: material.splits[n] for n in material.maps}
+    turning = options.chosen(splits, options.turning)
+    shown = [
+        (kind, note, pictures[kind][: options.gallery])
+        for kind, note, _ in KINDS
+        if kind in pictures
+    ]
+    counts = [
+        f"{list(splits.values()).count(split)} {word}"
+        for split, word in (("train", "training"), ("val", "validation"), ("test", "test"))
+    ]
+    return Page(
+        title=f"Spherical parameterizations · {material.title}",
+        subtitle=f"{len(splits)} shapes: {', '.join(counts)}",
+        summary=material.summary,
+        pictures=shown,
+        turning={f"{name} ({splits[name]})": material.maps[name] for name in turning},
+        turn=material.view.rotation,
+        not_drawn=not_drawn,
+        settings=settings,
+    )
