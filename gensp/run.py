@@ -18,24 +18,14 @@ from hydra.utils import instantiate
 from lightning import Trainer, seed_everything
 from lightning.pytorch.utilities import rank_zero_only
 from omegaconf import DictConfig, OmegaConf
-from rich.console import Console
 
 from gensp.errors import GenSPError, OutputError, Unsupported
-from gensp.files import read_json, write_text
+from gensp.files import write_text
 from gensp.runs import CHECKPOINT, Progress, Run, Runs, begin, clear, restart, seal
 from gensp.stages.base import Stage
 from gensp.stages.callbacks import WholeCheckpoints
-from gensp.tables import rich_table
+from gensp.terminal import announce, complain, report, say
 
-STAGES = {
-    "augment": "flows to the sphere (I)",
-    "implicit": "encoder and implicit field (II)",
-    "correspond": "registrations along the tree (III-a)",
-    "initialize": "generator from correspondences (III-b)",
-    "finetune": "generator and encoder together (IV)",
-    "parameterize": "maps of all shapes",
-    "evaluate": "table, pictures, report",
-}
 _TRAINER_SCIENCE = (
     "max_epochs",
     "max_steps",
@@ -45,8 +35,6 @@ _TRAINER_SCIENCE = (
     "limit_train_batches",
 )
 _FULL_OR_FORBIDDEN = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM}
-
-console = Console(highlight=False)
 
 
 def run(cfg: DictConfig, overrides: Sequence[str] = ()) -> float | None:
@@ -76,7 +64,7 @@ def run_pipeline(cfg: DictConfig, overrides: Sequence[str] = ()) -> float | None
     for number, entry in enumerate(cfg.pipeline, start=1):
         words = [*_without(typed, entry), *entry]
         stage = compose("config", overrides=words)
-        headline = run_stage(stage, words, place=f"[{number}/{len(cfg.pipeline)}] ")
+        headline = run_stage(stage, words, place=f"{number}/{len(cfg.pipeline)}")
     return headline
 
 
@@ -114,11 +102,11 @@ def run_stage(cfg: DictConfig, overrides: Sequence[str] = (), place: str = "") -
     folder = runs.folder(name)
     inputs = {need: runs.open(need, needed_by=name) for need in cfg.stage.needs}
     settings = settings_of(cfg, inputs)
-    _say(f"[bold]{place}{name}[/bold] · {STAGES.get(name, '')} · {folder}")
+    announce(name, folder, place)
     with _output_errors(folder):
         state = _prepare(cfg, folder, settings)
         if state is Progress.ALL:
-            _say("      finished before, kept")
+            say("      finished before, kept")
             return Run(folder).headline
         optional = {use: runs.find(use) for use in cfg.stage.get("optional", ())}
         inputs |= {use: found for use, found in optional.items() if found is not None}
@@ -140,7 +128,7 @@ def runs_of(cfg: DictConfig, overrides: Sequence[str] = ()) -> Runs:
 
 
 def settings_of(cfg: DictConfig, inputs: Mapping[str, Run]) -> dict[str, Any]:
-    """Everything that decides the numbers: stage, data, seed, what was read; no machine, no path."""
+    """What decides the numbers: stage, data, seed, what was read; no machine, no path."""
     bare = cfg.copy()
     OmegaConf.set_struct(bare, False)
     bare.paths = {key: f"<{key}>" for key in cfg.paths}
@@ -227,7 +215,7 @@ def _go(trainer: Trainer, verb: str, module: Stage, data: Any, begun: Path | Non
     saved = begun / CHECKPOINT if begun else None
     found = saved is not None and saved.is_file()
     if found:
-        _say("      resumed from its last checkpoint")
+        say("      resumed from its last checkpoint")
     trainer.fit(module, datamodule=data, ckpt_path=str(saved) if found else None)
 
 
@@ -255,7 +243,7 @@ def _end(
         seal(module.folder, stage=stage, settings=settings, metrics=metrics, facts=facts)
         for logger in trainer.loggers:
             logger.log_metrics({f"end/{name}": value for name, value in metrics.items()})
-        _report(module.folder, metrics, seconds)
+        report(module.folder, metrics, seconds)
     trainer.strategy.barrier("seal")
     return Run(module.folder).headline
 
@@ -263,21 +251,6 @@ def _end(
 def _device(trainer: Trainer) -> str:
     root = trainer.strategy.root_device
     return torch.cuda.get_device_name(root) if root.type == "cuda" else root.type
-
-
-def _report(folder: Path, metrics: Mapping[str, float], seconds: float) -> None:
-    shown = " · ".join(f"{name} {value:.4g}" for name, value in list(metrics.items())[:6])
-    _say(f"      done in {seconds:.1f} s · {shown}")
-    if (folder / "summary.json").is_file():
-        console.print(rich_table(read_json(folder / "summary.json")))
-    for name in ("maps", "summary.md", "pictures", "report.html"):
-        if (folder / name).exists():
-            _say(f"      {folder / name}")
-
-
-def _say(text: str) -> None:
-    if rank_zero_only.rank == 0:
-        console.print(text, soft_wrap=True)
 
 
 def _cores() -> int:
@@ -297,6 +270,7 @@ def _quiet() -> None:
         ".*Experiment logs directory .* exists and is not empty.*",
         ".*Checkpoint directory .* exists and is not empty.*",
         ".*Total length of .* is zero.*",
+        ".*LeafSpec.*is deprecated.*",
     )
     for remark in remarks:
         warnings.filterwarnings("ignore", remark)
@@ -332,6 +306,5 @@ def one_line_errors(*, sweep: bool) -> Iterator[None]:
     except GenSPError as error:
         if sweep:
             raise CompactHydraException(f"error: {error}") from None
-        if rank_zero_only.rank == 0:
-            sys.stderr.write(f"error: {error}\n")
+        complain(error)
         raise SystemExit(2) from None

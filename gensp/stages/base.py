@@ -46,8 +46,8 @@ class Stage(LightningModule):
 class FitStage(Stage):
     """A stage that trains: Adam, a cosine schedule over all steps, a history of its losses.
 
-    Every epoch begins from a random state that depends on the seed, the epoch and the rank
-    alone, so a resumed training equals an uninterrupted one.
+    Every step begins from a random state that depends on the seed, the step and the rank alone,
+    so a resumed training equals an uninterrupted one.
     """
 
     def __init__(
@@ -81,10 +81,10 @@ class FitStage(Stage):
                 sync_dist=True,
             )
 
-    def on_train_epoch_start(self) -> None:
-        """Start the epoch from its own random state."""
-        epoch_seed = (self.seed * 1_000_003 + self.current_epoch) * 1_009 + self.global_rank
-        seed_everything(epoch_seed % 2**32, verbose=False)
+    def on_train_batch_start(self, batch: Any, batch_idx: int) -> None:
+        """Start the step from its own random state."""
+        step = (self.seed * 1_000_003 + self.global_step) * 1_009 + self.global_rank
+        seed_everything(step % 2**32, verbose=False)
 
     def on_train_epoch_end(self) -> None:
         """Keep the epoch's means."""

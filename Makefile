@@ -1,0 +1,40 @@
+# make quickstart | make test | make install | make lint | make benchmark
+# Another interpreter: make PYTHON=python3.12 test
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+
+# One thread each: the tests and the item workers use processes.
+ONE_THREAD := OMP_NUM_THREADS=1 IGL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
+
+.PHONY: quickstart test install lint format benchmark clean
+
+quickstart: install
+	$(BIN)/python train.py experiment=quickstart
+
+test: lint
+	$(ONE_THREAD) $(BIN)/python -m pytest
+
+lint: install
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: install
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+benchmark: install
+	$(ONE_THREAD) $(BIN)/python benchmarks/speed.py
+
+install: $(VENV)/.installed
+
+# torch is pinned in constraints.txt, so one call of pip picks the build of the configured index.
+$(VENV)/.installed: pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is required: make PYTHON=python3.12" if sys.version_info < (3, 11) else 0)'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev,viz]"
+	touch $@
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info

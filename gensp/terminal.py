@@ -1,0 +1,54 @@
+"""What a run says: a head line for every stage, its end, errors in one line."""
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from lightning.pytorch.utilities import rank_zero_only
+from rich.console import Console
+
+from gensp.files import read_json
+from gensp.tables import rich_table
+
+STAGES = {
+    "augment": "flows to the sphere (I)",
+    "implicit": "encoder and implicit field (II)",
+    "correspond": "registrations along the tree (III-a)",
+    "initialize": "generator from correspondences (III-b)",
+    "finetune": "generator and encoder together (IV)",
+    "parameterize": "maps of all shapes",
+    "evaluate": "table, pictures, report",
+}
+_SHOWN = ("maps", "summary.md", "pictures", "report.html")
+
+console = Console(highlight=False)
+
+
+@rank_zero_only
+def say(text: str) -> None:
+    """One line, on rank zero."""
+    console.print(text, soft_wrap=True)
+
+
+@rank_zero_only
+def complain(error: Exception) -> None:
+    """One line on the error stream, on rank zero."""
+    sys.stderr.write(f"error: {error}\n")
+
+
+def announce(stage: str, folder: Path, place: str = "") -> None:
+    """The head line of a stage."""
+    numbered = f"\\[{place}] " if place else ""
+    say(f"[bold]{numbered}{stage}[/bold] · {STAGES.get(stage, '')} · {folder}")
+
+
+def report(folder: Path, metrics: Mapping[str, Any], seconds: float) -> None:
+    """The end of a stage: time, first metrics, the table and the paths of what was made."""
+    shown = " · ".join(f"{name} {value:.4g}" for name, value in list(metrics.items())[:6])
+    say(f"      done in {seconds:.1f} s · {shown}")
+    if (folder / "summary.json").is_file():
+        console.print(rich_table(read_json(folder / "summary.json")))
+    for name in _SHOWN:
+        if (folder / name).exists():
+            say(f"      {folder / name}")

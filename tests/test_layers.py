@@ -1,0 +1,113 @@
+"""What may import what: read from the sources, so that the table in the design stays true."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "gensp"
+
+CORE = {"errors", "files"}
+# Layer → what it may import of ours, itself left out. A module with a row of its own is no part of
+# its package's row.
+ALLOWED = {
+    "errors": set(),
+    "files": {"errors"},
+    "geometry": CORE,
+    "models": CORE | {"geometry"},
+    "losses": CORE | {"geometry"},
+    "compute": CORE,
+    "data": CORE | {"geometry", "compute"},
+    "methods": CORE | {"geometry", "models", "data.clouds"},
+    "runs": CORE | {"models.store", "geometry.mesh"},
+    "tables": CORE,
+    "pictures": CORE | {"geometry", "tables"},
+}
+ALLOWED["data.modules"] = ALLOWED["data"] | {"runs", "data"}
+ALLOWED["data.training"] = ALLOWED["data"] | {"runs", "data"}
+ALLOWED["tasks"] = set(ALLOWED) - {"data.modules", "data.training"}
+ALLOWED["stages"] = {*ALLOWED, "tasks"}
+ALLOWED["terminal"] = CORE | {"tables"}
+ALLOWED["run"] = {*ALLOWED, "stages", "tasks"}
+
+LIGHTNING = {"stages", "data.modules", "data.training", "terminal", "run"}
+HYDRA = {"run"}
+
+
+def modules() -> list[str]:
+    paths = sorted(PACKAGE.rglob("*.py"))
+    names = (".".join(path.relative_to(PACKAGE).with_suffix("").parts) for path in paths)
+    return [name for name in names if name != "__init__"]
+
+
+def layer_of(module: str) -> str:
+    module = module.removesuffix(".__init__")
+    return module if module in ALLOWED else module.split(".")[0]
+
+
+def imported(module: str) -> set[str]:
+    """Full names of what a module imports, wherever in the file it does so."""
+    path = PACKAGE / Path(*module.split(".")).with_suffix(".py")
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{module} imports relatively"
+            names.add(node.module)
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return names
+
+
+def ours(module: str) -> set[str]:
+    named = {name.removeprefix("gensp.") for name in imported(module) if name.startswith("gensp.")}
+    return {
+        name for name in named if (PACKAGE / Path(*name.split("."))).with_suffix(".py").exists()
+    }
+
+
+@pytest.mark.parametrize("module", modules())
+def test_imports_keep_to_the_layers(module: str) -> None:
+    layer = layer_of(module)
+    assert layer in ALLOWED, f"{module} belongs to no layer"
+    for name in ours(module):
+        may = layer_of(name) == layer or layer_of(name) in ALLOWED[layer] or name in ALLOWED[layer]
+        assert may, f"{module} imports {name}"
+
+
+@pytest.mark.parametrize("module", modules())
+def test_outer_libraries_stay_outside(module: str) -> None:
+    outer = {name.split(".")[0] for name in imported(module)}
+    layer = layer_of(module)
+    assert "wandb" not in outer
+    assert "lightning" not in outer or layer in LIGHTNING
+    assert not outer & {"hydra", "omegaconf"} or layer in HYDRA
+
+
+def test_stages_do_not_import_each_other() -> None:
+    stages = {"augment", "implicit", "correspond", "generator", "parameterize", "evaluate"}
+    for stage in stages:
+        named = {name.removeprefix("stages.") for name in ours(f"stages.{stage}")}
+        assert not named & (stages - {stage}), stage
+
+
+@pytest.mark.parametrize("light", ["gensp", "gensp.compute"])
+def test_light_imports(light: str) -> None:
+    heavy = ["torch", "lightning", "hydra", "omegaconf", "wandb", "matplotlib", "pyvista"]
+    script = f"import sys, {light}; print([m for m in {heavy} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout.strip() == "[]", done.stderr
+
+
+def test_the_library_needs_no_hydra_and_no_wandb() -> None:
+    script = (
+        "import sys\n"
+        "for name in ('hydra', 'omegaconf', 'wandb', 'lightning'): sys.modules[name] = None\n"
+        "import gensp\n"
+        "for name in gensp.__all__: getattr(gensp, name)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

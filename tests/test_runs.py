@@ -1,0 +1,135 @@
+"""Run folders: the restart table row by row, predecessors, seals."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from gensp.errors import MissingStage, OutputError, StaleRun
+from gensp.files import write_json
+from gensp.runs import (
+    CHECKPOINT,
+    MANIFEST,
+    Progress,
+    Run,
+    Runs,
+    begin,
+    clear,
+    differences,
+    listing,
+    restart,
+    seal,
+)
+
+SETTINGS = {"stage": {"name": "implicit", "rate": 0.1, "sizes": (1, 2)}, "seed": 0}
+OTHER = {"stage": {"name": "implicit", "rate": 0.2, "sizes": (1, 2)}, "seed": 0}
+
+
+def sealed(folder: Path, settings: dict = SETTINGS) -> Run:
+    begin(folder, settings)
+    return seal(folder, stage="implicit", settings=settings, metrics={"loss": 0.5}, facts={})
+
+
+def test_restart_with_nothing_there(tmp_path: Path) -> None:
+    assert restart(tmp_path / "new", SETTINGS) is Progress.NOTHING
+
+
+@pytest.mark.parametrize("left", [str(CHECKPOINT), "rows/a.json", "settings.json"])
+def test_restart_of_an_unfinished_run(tmp_path: Path, left: str) -> None:
+    begin(tmp_path, SETTINGS)
+    path = tmp_path / left
+    path.parent.mkdir(exist_ok=True)
+    path.touch()
+    assert restart(tmp_path, SETTINGS) is Progress.SOME
+    with pytest.raises(StaleRun, match=r"stage\.rate: 0\.1 → 0\.2"):
+        restart(tmp_path, OTHER)
+
+
+def test_restart_of_a_finished_run(tmp_path: Path) -> None:
+    sealed(tmp_path)
+    assert restart(tmp_path, SETTINGS) is Progress.ALL
+    with pytest.raises(StaleRun, match=r"force=true .* name=NEW"):
+        restart(tmp_path, OTHER)
+
+
+def test_forced_run_starts_from_nothing(tmp_path: Path) -> None:
+    sealed(tmp_path / "run")
+    clear(tmp_path / "run")
+    assert restart(tmp_path / "run", OTHER) is Progress.NOTHING
+
+
+def test_manifest_tells_what_was_made(tmp_path: Path) -> None:
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "maps" / "a.txt").write_text("abc")
+    run = sealed(tmp_path)
+    files = run.manifest["files"]
+    assert files["maps/a.txt"]["bytes"] == 3
+    # SHA-256 of "abc", FIPS 180-4 example.
+    assert files["maps/a.txt"]["sha256"].startswith("ba7816bf8f01cfea")
+    assert MANIFEST not in files
+    assert run.headline == 0.5
+    assert {"versions", "revision", "machine", "peak_memory_gib"} <= run.manifest.keys()
+
+
+def test_digest_depends_on_settings_alone(tmp_path: Path) -> None:
+    first, second = sealed(tmp_path / "a"), sealed(tmp_path / "b")
+    (tmp_path / "b" / "more.txt").touch()
+    assert first.digest == second.digest
+    assert sealed(tmp_path / "c", OTHER).digest != first.digest
+
+
+def test_failed_seal_leaves_no_manifest(tmp_path: Path) -> None:
+    with pytest.raises(TypeError):
+        seal(tmp_path, stage="x", settings=SETTINGS, metrics={}, facts={"bad": object()})
+    assert not Run(tmp_path).complete
+    assert listing(tmp_path) == {}
+
+
+def test_missing_predecessor_names_the_command(tmp_path: Path) -> None:
+    runs = Runs(tmp_path, "toy", "full", command="python train.py experiment=toy")
+    with pytest.raises(MissingStage) as caught:
+        runs.open("implicit", needed_by="correspond")
+    assert str(caught.value) == (
+        f"'correspond' needs 'implicit', but {tmp_path}/toy/full/implicit has no manifest.json; "
+        "run: python train.py experiment=toy stage=implicit"
+    )
+
+
+def test_shared_stage_is_found_in_the_other_variant(tmp_path: Path) -> None:
+    sealed(tmp_path / "toy" / "full" / "implicit")
+    runs = Runs(tmp_path, "toy", "no_gp", shares={"implicit": "full"})
+    assert runs.open("implicit", needed_by="correspond").folder == tmp_path / "toy/full/implicit"
+    assert runs.folder("correspond") == tmp_path / "toy" / "no_gp" / "correspond"
+    assert Runs(tmp_path, "toy", "no_gp").find("implicit") is None
+
+
+def test_folder_given_by_hand_wins(tmp_path: Path) -> None:
+    sealed(tmp_path / "toy" / "full" / "implicit")
+    other = sealed(tmp_path / "elsewhere")
+    runs = Runs(tmp_path, "toy", "full", inputs={"implicit": str(other.folder), "augment": None})
+    assert runs.open("implicit", needed_by="correspond").folder == other.folder
+
+
+def test_differences_name_nested_keys() -> None:
+    old = {"a": {"b": 1, "c": [1, 2]}, "gone": True}
+    new = {"a": {"b": 1, "c": [1, 3]}, "come": "x"}
+    assert differences(old, new) == [
+        "a.c: [1, 2] → [1, 3]",
+        "gone: True → nothing",
+        "come: nothing → x",
+    ]
+
+
+def test_unwritable_place_is_told_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match=r"paths\.runs=FOLDER") as caught:
+        begin(tmp_path / "file" / "run", SETTINGS)
+    assert "\n" not in str(caught.value)
+
+
+def test_settings_survive_json(tmp_path: Path) -> None:
+    begin(tmp_path, SETTINGS)
+    stored = json.loads((tmp_path / "settings.json").read_text())
+    assert differences(stored["settings"], json.loads(json.dumps(SETTINGS))) == []
+    write_json(tmp_path / "settings.json", stored)
+    assert restart(tmp_path, SETTINGS) is Progress.SOME
