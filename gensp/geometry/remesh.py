@@ -3,6 +3,7 @@
 Source of the inside test: Barill et al. 2018, "Fast winding numbers for soups and clouds".
 """
 
+import igl
 import numpy as np
 import torch
 from torch import Tensor
@@ -10,7 +11,7 @@ from torch import Tensor
 from gensp.errors import BadMesh, DegenerateMesh, EmptyLevelSet
 from gensp.geometry.distance import ClosestPointTree
 from gensp.geometry.isosurface import extract_surface
-from gensp.geometry.mesh import Mesh, require_genus_zero
+from gensp.geometry.mesh import Mesh, require_genus_zero, simplify
 
 # Marching cubes on cells of side h leaves about 1.5 area / h² vertices; three times as many as
 # asked for are made, so that edge collapses can choose.
@@ -18,6 +19,42 @@ _VERTICES_PER_CELL = 1.5
 _OVERSAMPLING = 3.0
 # Second and third attempt: a finer grid, then a surface moved outwards by half a cell.
 _ATTEMPTS = ((1.0, 0.0), (0.7, 0.0), (0.7, 0.5))
+# Of the mean triangle area, after edge collapses have evened out the sizes.
+_SMALLEST_AREA = 1e-4
+
+
+def sound_mesh(mesh: Mesh, vertices: int, *, smallest_angle: float) -> tuple[Mesh, bool]:
+    """About `vertices` vertices of a shape, by edge collapses or, if need be, by remeshing.
+
+    Edge collapses remove triangles that have shrunk, so the shape's own triangulation often
+    survives; it is given up where a triangle without area or an angle below `smallest_angle`
+    (degrees) is left.
+
+    Returns
+    -------
+    Mesh, bool
+        The mesh, and whether it was remeshed.
+
+    Raises
+    ------
+    DegenerateMesh
+        Neither way leads to a closed genus-0 surface.
+    """
+    try:
+        own = simplify(mesh, vertices)
+        # Small inputs come back as they are, whatever their triangles.
+        require_genus_zero(own, max_faces=len(own.faces))
+    except BadMesh:
+        return remesh_geometry(mesh, vertices=vertices), True
+    level = own.face_areas.min() / own.face_areas.mean()
+    if level > _SMALLEST_AREA and smallest_triangle_angle(own) >= smallest_angle:
+        return own, False
+    return remesh_geometry(mesh, vertices=vertices), True
+
+
+def smallest_triangle_angle(mesh: Mesh) -> float:
+    """Smallest interior angle in degrees."""
+    return float(np.degrees(igl.internal_angles(mesh.vertices, mesh.faces).min()))
 
 
 def remesh_geometry(mesh: Mesh, *, vertices: int) -> Mesh:

@@ -1,0 +1,1 @@
+"""What is done with one item of a stage; picklable, without lightning."""
