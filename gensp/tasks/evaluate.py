@@ -1,8 +1,10 @@
 """Work on one shape of the evaluation: its own row, and its share of the pairs."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from gensp.compute import Row, finished_row
 from gensp.data.ground_truth import GroundTruth
@@ -13,6 +15,7 @@ from gensp.geometry.consistency import coverage
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import icosphere_of
 from gensp.geometry.spherical_map import SphericalMap, load_map
+from gensp.runs import Run
 from gensp.tasks.pairs import EvaluatedMap, Record, pair_records
 
 
@@ -122,8 +125,8 @@ def _evaluated(
     map = load_map(path)
     truth = collection.ground_truth(map.name)
     keypoints = collection.keypoints(map.name)
-    _require_fit(map, truth, path)
-    _require_fit(map, keypoints, path)
+    for known in (truth, keypoints):
+        _require_fit(map, known, path)
     return EvaluatedMap(map, truth, keypoints, samples=samples)
 
 
@@ -134,3 +137,30 @@ def _require_fit(map: SphericalMap, truth: GroundTruth | None, path: Path) -> No
             f"{truth.at.faces.max()}; ground truth of this very mesh is required; correct or "
             f"remove the entry of {map.name}"
         )
+
+
+def evaluate_task(
+    inputs: Mapping[str, Run], folder: Path, *, collection: ShapeCollection, **settings: Any
+) -> Evaluate:
+    """The work on one shape, for the items' DataModule."""
+    return Evaluate(inputs["parameterize"].folder, folder, collection, **settings)
+
+
+def evaluate_items(
+    inputs: Mapping[str, Run], folder: Path, *, collection: ShapeCollection
+) -> list[str]:
+    """Shapes that have a map.
+
+    Raises
+    ------
+    MissingData
+        None has.
+    """
+    parameterize = inputs["parameterize"].folder
+    ids = mapped_ids(collection, parameterize)
+    if not ids:
+        raise MissingData(
+            f"{parameterize / 'maps'}: holds no map of collection {collection.name}; at least one "
+            "is required; run stage=parameterize again, with the same shapes"
+        )
+    return ids

@@ -68,8 +68,14 @@ def pair_records(a: EvaluatedMap, b: EvaluatedMap) -> list[Record]:
         rows, others = common_points(a.keypoints, b.keypoints)
         if len(rows):
             points = a.keypoints.take(rows).at, b.keypoints.take(others).at
-            return [{"kind": "keypoints", "points": len(rows), **_errors(a, b, points)[0]}]
+            return [_sparse(a, b, points)]
     return []
+
+
+def _sparse(a: EvaluatedMap, b: EvaluatedMap, points: Points) -> Record:
+    record, _ = _errors(a, b, points)
+    hausdorff = a.hausdorff.distance(b.hausdorff)
+    return {"kind": "keypoints", "points": len(points[0]), **record, "hausdorff": hausdorff}
 
 
 def _dense(

@@ -1,0 +1,171 @@
+"""Evaluation: distortion, consistency and coverage of the maps, the table and the pictures."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import torch
+
+from gensp.compute import Row, stored_rows
+from gensp.data.shapes import ShapeCollection
+from gensp.files import load_npz, read_json, write_json, write_text
+from gensp.geometry.mesh import Mesh
+from gensp.geometry.sphere import icosphere
+from gensp.models import load_model
+from gensp.pictures import PictureOptions, draw_all
+from gensp.runs import SETTINGS, Run
+from gensp.stages.base import ItemStage, write_table
+from gensp.stages.summary import Record, summarize, without_nan
+from gensp.tables import summary_csv, summary_markdown
+from gensp.tasks.evaluate import mapped_ids
+
+TRAINED = ("implicit", "correspond", "initialize", "finetune")
+_MORPH_LEVEL = 5
+_HEADLINES = ("error", "sigma_mean")
+
+
+class EvaluateStage(ItemStage):
+    """Passes over the maps; its ending makes the table, the pictures and the page.
+
+    Writes shapes.csv, pairs.csv, summary.json, summary.md, summary.csv, pictures/ and report.html.
+
+    Parameters
+    ----------
+    runs
+        Folders of the stages that were run, `parameterize` among them.
+    names
+        experiment, variant and method, for the titles.
+    neighbours
+        Nearest neighbours by Hausdorff distance over which c is averaged (paper: 6).
+    pictures
+        How much is drawn; none leaves the pictures and the page out.
+    """
+
+    def __init__(
+        self,
+        *,
+        collection: ShapeCollection,
+        runs: Mapping[str, Path],
+        names: Mapping[str, str],
+        neighbours: int = 6,
+        pictures: PictureOptions | None = None,
+        max_failures: int = 0,
+        folder: Path | str = Path("."),
+    ) -> None:
+        super().__init__(table="shapes", max_failures=max_failures, folder=folder)
+        self.collection, self.runs = collection, dict(runs)
+        self.names = {**names, "collection": collection.name}
+        self.neighbours = neighbours
+        self.pictures = pictures
+
+    @classmethod
+    def from_runs(cls, inputs: Mapping[str, Run], folder: Path, **numbers: Any) -> Self:
+        """The stage with the folders of all stages that its maps come from."""
+        runs = {name: run.folder for name, run in inputs.items()}
+        if not (runs["parameterize"] / "predictions").is_dir():
+            # A method that learns nothing may share an experiment with one that does.
+            runs = {name: place for name, place in runs.items() if name not in TRAINED}
+        return cls(folder=folder, runs=runs, **numbers)
+
+    def finish(self) -> dict[str, float]:
+        """Write the tables and the page; the metrics are the table's, test before all."""
+        super().finish()
+        order = {id: place for place, id in enumerate(self.collection.ids())}
+        rows: list[Record] = [dict(row) for row in self.rows if not row.get("error")]
+        rows.sort(key=lambda row: order[row["id"]])
+        pairs = [pair for row in rows for pair in self._pairs(row["id"])]
+        pairs.sort(key=lambda pair: (order[pair["first"]], order[pair["second"]]))
+        summary = summarize(rows, pairs, self.names, self.neighbours)
+        summary["skipped"] = [
+            {"id": id, "reason": reason} for id, reason in self.collection.skipped
+        ]
+        summary["failed"] = self._failed()
+        self._write(rows, pairs, without_nan(summary))
+        self._draw(without_nan(summary))
+        return _metrics(summary["groups"])
+
+    def _pairs(self, id: str) -> list[Record]:
+        pairs: list[Record] = read_json(self.folder / "pairs" / f"{id}.json")
+        return pairs
+
+    def _failed(self) -> list[Row]:
+        """Shapes without a map, or whose map could not be evaluated."""
+        rows = [*stored_rows(self.runs["parameterize"]), *self.rows]
+        return [{"id": row["id"], "error": row["error"]} for row in rows if row.get("error")]
+
+    def _write(self, rows: list[Record], pairs: list[Record], summary: Record) -> None:
+        write_table(self.folder / "shapes.csv", _with_errors(rows, pairs))
+        plain = [
+            {key: value for key, value in pair.items() if not key.startswith("quantiles")}
+            for pair in pairs
+        ]
+        write_table(self.folder / "pairs.csv", plain)
+        write_json(self.folder / "summary.json", summary)
+        write_text(self.folder / "summary.md", summary_markdown(summary))
+        write_text(self.folder / "summary.csv", summary_csv(summary))
+
+    def _draw(self, summary: Record) -> None:
+        if self.pictures is None:
+            return
+        ids = mapped_ids(self.collection, self.runs["parameterize"])
+        splits = {id: self.collection.shape(id).split for id in ids}
+        stored = self.folder / SETTINGS
+        draw_all(
+            self.folder,
+            runs=self.runs,
+            splits=splits,
+            collection=self.collection.name,
+            method=self.names["variant"],
+            summary=summary,
+            morphs=self._morphs(self.pictures.chosen(splits), self.pictures.frames),
+            settings=read_json(stored)["settings"] if stored.is_file() else {},
+            options=self.pictures,
+        )
+
+    def _morphs(self, ids: Sequence[str], frames: int) -> dict[str, list[Mesh]]:
+        """The generator's surfaces g(t·z) between the sphere and some shapes."""
+        if "finetune" not in self.runs:
+            return {}
+        generator = load_model(self.runs["finetune"] / "model.pt")["generator"].eval()
+        codes = {id: self._code(id) for id in ids}
+        return {
+            id: morph(generator, code, frames) for id, code in codes.items() if code is not None
+        }
+
+    def _code(self, id: str) -> np.ndarray | None:
+        path = self.runs["parameterize"] / "predictions" / f"{id}.npz"
+        return load_npz(path).get("code") if path.is_file() else None
+
+
+@torch.no_grad()
+def morph(
+    generator: torch.nn.Module, code: np.ndarray, frames: int, level: int = _MORPH_LEVEL
+) -> list[Mesh]:
+    """Images of the icosphere under g(t·z, ·) for t from 0 to 1."""
+    ball = icosphere(level)
+    p = torch.from_numpy(ball.vertices.astype(np.float32))[None]
+    z = torch.from_numpy(np.asarray(code, dtype=np.float32))[None]
+    images = [generator(t * z, p)[0].double().numpy() for t in torch.linspace(0, 1, frames)]
+    return [Mesh(image, ball.faces, "generated") for image in images]
+
+
+def _with_errors(rows: list[Record], pairs: list[Record]) -> list[Record]:
+    """The rows of the shapes with the mean error of the pairs that each is part of."""
+    found: dict[str, list[float]] = {row["id"]: [] for row in rows}
+    for pair in pairs:
+        if pair["kind"] == "dense":
+            found[pair["first"]].append(pair["error"])
+            found[pair["second"]].append(pair["error"])
+    return [
+        {**row, "error": float(np.mean(found[row["id"]])) if found[row["id"]] else None}
+        for row in rows
+    ]
+
+
+def _metrics(groups: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+    """All figures as group/figure; first the implied-correspondence error, else mean σ."""
+    order = [group for group in ("test", "all") if group in groups]
+    metrics = {f"{group}/{key}": value for group in order for key, value in groups[group].items()}
+    first = [f"{order[0]}/{key}" for key in _HEADLINES if f"{order[0]}/{key}" in metrics]
+    return {key: metrics[key] for key in [*first, *metrics]}
