@@ -30,12 +30,16 @@ def trunk(inputs: int = 3, outputs: int = 3, **settings: int) -> LatentMLP:
 
 def generators() -> dict[str, Generator]:
     torch.manual_seed(1)
-    return {
+    networks = {
         "direct": DirectGenerator(trunk()),
         "difference": AnchoredGenerator(trunk(), form="difference"),
         "linear": AnchoredGenerator(trunk(outputs=9), form="linear", rank=3),
         "flow": FlowGenerator(trunk(inputs=4, outputs=9), rank=3, steps=3),
     }
+    for network in networks.values():
+        torch.nn.init.normal_(network.trunk.last.weight, std=0.2)
+        torch.nn.init.normal_(network.trunk.last.bias, std=0.2)
+    return networks
 
 
 def sphere_points(batch: int, count: int, seed: int = 0) -> Tensor:
@@ -215,6 +219,12 @@ def test_flow_does_not_fold_the_sphere() -> None:
     columns = jacobian(generator, z, p)[0]
     normals = torch.linalg.cross(columns[..., 0], columns[..., 1])
     assert normals.norm(dim=1).min() > 1e-3
+
+
+def test_untrained_residual_generators_are_the_sphere_for_every_code() -> None:
+    z, p = 100 * torch.randn(2, LATENT), sphere_points(2, 5).float()
+    assert torch.equal(AnchoredGenerator(trunk(outputs=9), rank=3)(z, p), p)
+    assert torch.equal(FlowGenerator(trunk(4, 9), rank=3)(z, p), p)
 
 
 def test_unknown_form_is_refused() -> None:

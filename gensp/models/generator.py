@@ -74,7 +74,7 @@ class AnchoredGenerator(Generator):
                 f"anchored generator: form '{form}' is unknown; 'difference' or 'linear' is "
                 "required; set model.generator.form"
             )
-        self.trunk, self.form = trunk, form
+        self.trunk, self.form = _starting_at_zero(trunk), form
         if form == "linear":
             self.mixing = nn.Linear(trunk.settings["latent"], rank, bias=False)
 
@@ -108,7 +108,7 @@ class FlowGenerator(Generator):
 
     def __init__(self, trunk: LatentMLP, rank: int = 8, steps: int = 4) -> None:
         super().__init__({"trunk": trunk, "rank": rank, "steps": steps})
-        self.trunk, self.steps = trunk, steps
+        self.trunk, self.steps = _starting_at_zero(trunk), steps
         self.mixing = nn.Linear(trunk.settings["latent"], rank, bias=False)
 
     def forward(
@@ -126,6 +126,13 @@ class FlowGenerator(Generator):
         options = {"step_size": 1 / self.steps}
         path: Tensor = odeint(velocity, p, ends, method="rk4", options=options)
         return path[-1]
+
+
+def _starting_at_zero(trunk: LatentMLP) -> LatentMLP:
+    """Untrained, the generator is the sphere for every code, however far it was scaled."""
+    nn.init.zeros_(trunk.last.weight)
+    nn.init.zeros_(trunk.last.bias)
+    return trunk
 
 
 def _mix(weights: Float[Tensor, "b n _"], mixed: Float[Tensor, "b r"]) -> Float[Tensor, "b n 3"]:

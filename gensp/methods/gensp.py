@@ -1,0 +1,119 @@
+"""GenSP on one mesh: encode, generate, fit, invert, refine (paper §3, appendix C)."""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Self, TypeVar
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from gensp.data.clouds import point_cloud
+from gensp.errors import Unsupported
+from gensp.geometry.mesh import Mesh, normalize
+from gensp.geometry.refine import invert
+from gensp.geometry.sphere import icosphere
+from gensp.geometry.spherical_map import SphericalMap
+from gensp.models import Generator, PointNet2Encoder, load_model
+
+T = TypeVar("T")
+Fit = Callable[[Mesh, Mesh], Mesh]
+Refinement = Callable[[Mesh, np.ndarray, np.ndarray], SphericalMap]
+
+
+class GenSP:
+    """Spherical parameterization by the learnt generator.
+
+    Parameters
+    ----------
+    encoder, generator
+        The trained networks e^γ and g^θ.
+    level
+        Icosphere whose image under the generator is inverted; level 6 has 40,962 vertices.
+    fit
+        Called with the generated surface and the mesh; gives the generated surface to invert.
+    refine
+        Called with the mesh, a start and a target on the sphere (n, 3); gives the final map.
+    points
+        Size of the encoder's cloud.
+    """
+
+    name = "gensp"
+
+    def __init__(
+        self,
+        encoder: PointNet2Encoder,
+        generator: Generator,
+        *,
+        fit: Fit,
+        refine: Refinement,
+        level: int = 6,
+        points: int = 1024,
+    ) -> None:
+        self.encoder, self.generator = encoder.eval(), generator.eval()
+        self.fit, self.refine = fit, refine
+        self.level, self.points = level, points
+
+    @classmethod
+    def load(cls, path: Path | str, **settings: Any) -> Self:
+        """With the networks of a model.pt of Stage IV (or III-b).
+
+        Raises
+        ------
+        Unsupported
+            The file holds no encoder and generator.
+        """
+        networks = load_model(path)
+        if networks.keys() != {"encoder", "generator"}:
+            raise Unsupported(
+                f"{path}: holds {', '.join(networks)}; encoder and generator are required; name "
+                "the model.pt of stage=finetune or initialize"
+            )
+        return cls(**networks, **settings)  # type: ignore[arg-type]
+
+    @torch.no_grad()
+    def encode(self, mesh: Mesh) -> Float[np.ndarray, " d"]:
+        """Latent code of a normalised mesh, from a cloud that depends on the mesh alone."""
+        cloud = torch.from_numpy(point_cloud(mesh, self.points))[None]
+        code: np.ndarray = self.encoder(cloud)[0].numpy()
+        return code
+
+    @torch.no_grad()
+    def generate(self, code: Float[np.ndarray, " d"], level: int | None = None) -> Mesh:
+        """The image of the icosphere under g(z, ·), a mesh with the icosphere's faces."""
+        ball = icosphere(self.level if level is None else level)
+        p = torch.from_numpy(ball.vertices.astype(np.float32))[None]
+        image = self.generator(torch.from_numpy(code)[None], p)[0]
+        return Mesh(image.double().numpy(), ball.faces, "generated")
+
+    def __call__(self, mesh: Mesh) -> SphericalMap:
+        """Map a genus-0 mesh; the map's arrays keep the prediction, its surface and the code."""
+        seconds: dict[str, float] = {}
+        shape = normalize(mesh)
+        code = _timed(seconds, "encode", lambda: self.encode(shape))
+        generated = _timed(seconds, "generate", lambda: self.generate(code))
+        fitted = _timed(seconds, "fit", lambda: self.fit(generated, shape))
+        ball = icosphere(self.level).vertices
+        predicted = _timed(seconds, "invert", lambda: invert(shape.vertices, fitted, ball))
+        refined = _timed(seconds, "refine", lambda: self.refine(shape, predicted, predicted))
+        return replace(
+            refined,
+            surface=mesh.vertices,
+            name=mesh.name,
+            diagnostics={**refined.diagnostics, **seconds, "seconds": sum(seconds.values())},
+            arrays={
+                **refined.arrays,
+                "predicted": predicted,
+                "generated": fitted.vertices,
+                "code": code,
+            },
+        )
+
+
+def _timed(seconds: dict[str, float], part: str, work: Callable[[], T]) -> T:
+    start = time.perf_counter()
+    result = work()
+    seconds[f"seconds_{part}"] = time.perf_counter() - start
+    return result

@@ -1,0 +1,225 @@
+"""Stages III-b and IV: the shape generator, from correspondences to surfaces (paper §3.3–3.4)."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gensp.data.batches import CorrespondenceBatch
+from gensp.data.items import item_mesh
+from gensp.data.shapes import SPHERE
+from gensp.files import read_json
+from gensp.geometry.distance import ClosestPointTree
+from gensp.geometry.sphere import icosphere
+from gensp.losses import correspondence_loss, coverage_loss, generator_deformation, surface_loss
+from gensp.models import Generator, PointNet2Encoder, jacobian, load_model, save_model
+from gensp.runs import Run
+from gensp.stages.base import FitStage
+from gensp.stages.latents import CloudCodes, CodeTable, draws, save_codes
+
+
+class GeneratorStage(FitStage):
+    """What both stages share: the networks, the codes of all items, and what is written."""
+
+    def __init__(
+        self,
+        *,
+        encoder: PointNet2Encoder,
+        generator: Generator,
+        learning_rate: float,
+        seed: int = 0,
+        folder: Path | str = Path("."),
+    ) -> None:
+        super().__init__(learning_rate=learning_rate, seed=seed, folder=folder)
+        self.encoder = encoder.train().requires_grad_(False)
+        self.generator = generator.train()
+        self.encode = CloudCodes(encoder)
+
+    def setup(self, stage: str) -> None:
+        """Encode all items once."""
+        items = self.trainer.datamodule
+        self.table = CodeTable(items.ids, self.encoder.latent).to(self.encoder.origin.device)
+        self.table.update(items.ids, self.encode.all(items.ids, items.clouds))
+
+    def finish(self) -> dict[str, float]:
+        """Put S_0 exactly at the origin; write the networks and the codes of all items."""
+        items = self.trainer.datamodule
+        self.encoder.set_origin(items.clouds[:1].to(self.encoder.origin.device))
+        save_codes(
+            self.folder / "latents.npz", items.ids, self.encode.all(items.ids, items.clouds)
+        )
+        save_model(self.folder / "model.pt", encoder=self.encoder, generator=self.generator)
+        return super().finish()
+
+
+class InitializeStage(GeneratorStage):
+    """Stage III-b: the generator learns the propagated correspondences (Eq. 10).
+
+    Parameters
+    ----------
+    latent_spread
+        Codes are scaled so that the input shapes lie this far from their mean.
+    """
+
+    def __init__(self, *, latent_spread: float, **shared: Any) -> None:
+        super().__init__(**shared)
+        self.latent_spread = latent_spread
+
+    @classmethod
+    def from_runs(cls, inputs: Mapping[str, Run], folder: Path, **numbers: Any) -> Self:
+        """With the encoder of Stage II."""
+        encoder = load_model(inputs["implicit"].folder / "model.pt")["encoder"]
+        return cls(encoder=encoder, folder=folder, **numbers)
+
+    def setup(self, stage: str) -> None:
+        """Encode all items; scale codes by the spread of the inputs among themselves."""
+        super().setup(stage)
+        inputs = [id for id in self.table.rows if id != SPHERE and "@" not in id]
+        self.generator.fit_latent_scale(self.table.of(inputs), self.latent_spread)
+
+    def training_step(self, batch: CorrespondenceBatch, index: int) -> Tensor:
+        """Eq. 10."""
+        generated = self.generator(self.table.of(batch.ids), batch.sphere)
+        loss = correspondence_loss(generated, batch.targets, batch.valid)
+        self.log_losses(correspondence=loss)
+        return loss
+
+
+class FinetuneStage(GeneratorStage):
+    """Stage IV: generator and encoder against the surfaces themselves (Eqs. 11 and 12).
+
+    Parameters
+    ----------
+    surfaces
+        Closest-point tree of every item.
+    parents
+        The tree of Stage III: item → parent; its edges carry p_sync.
+    train_encoder
+        Whether γ is trained too (the paper's text) or only θ (its formula).
+    deformation_weight, isometry_weight
+        μ̄ and β.
+    geometric_regularization
+        Whether Eq. 12 takes part.
+    deformation_codes, deformation_points
+        Codes z ~ p_sync in a step and sphere points of each, for Eq. 12.
+    correspondence_weight, final_correspondence_weight
+        Weight of Eq. 10 beside Eq. 11, from the first step linearly to the last.
+    coverage_weight
+        Weight of the distance from the shape to the generated surface.
+    level
+        The icosphere, randomly turned in every step, whose vertices sample Eq. 11.
+    """
+
+    def __init__(
+        self,
+        *,
+        surfaces: Mapping[str, ClosestPointTree],
+        parents: Mapping[str, str],
+        train_encoder: bool,
+        deformation_weight: float,
+        isometry_weight: float,
+        geometric_regularization: bool,
+        deformation_codes: int,
+        deformation_points: int,
+        correspondence_weight: float,
+        final_correspondence_weight: float,
+        coverage_weight: float,
+        level: int,
+        **shared: Any,
+    ) -> None:
+        super().__init__(**shared)
+        self.surfaces, self.parents = surfaces, parents
+        self.train_encoder = train_encoder
+        self.encoder.requires_grad_(train_encoder)
+        self.deformation_weight, self.isometry_weight = deformation_weight, isometry_weight
+        self.geometric_regularization = geometric_regularization
+        self.deformation_codes, self.deformation_points = deformation_codes, deformation_points
+        self.correspondence_weights = correspondence_weight, final_correspondence_weight
+        self.coverage_weight = coverage_weight
+        self.ball = icosphere(level)
+
+    @classmethod
+    def from_runs(cls, inputs: Mapping[str, Run], folder: Path, **numbers: Any) -> Self:
+        """With the networks of Stage III-b and the tree of Stage III-a."""
+        networks = load_model(inputs["initialize"].folder / "model.pt")
+        tree = read_json(inputs["correspond"].folder / "tree.json")
+        ids = tree["ids"]
+        parents = {id: ids[p] for id, p in zip(ids, tree["parent"], strict=True) if p >= 0}
+        surfaces = Surfaces(inputs["augment"].folder)
+        return cls(**networks, parents=parents, surfaces=surfaces, folder=folder, **numbers)
+
+    def setup(self, stage: str) -> None:
+        """Encode all items and join them by the tree."""
+        super().setup(stage)
+        self.table.join(self.parents)
+
+    def training_step(self, batch: CorrespondenceBatch, index: int) -> Tensor:
+        """Eq. 11, Eq. 12, and what keeps limbs from retracting."""
+        random = draws(self.seed, self.global_step, self.global_rank)
+        codes = self._codes(batch)
+        p = self._turned_ball(random).to(codes).expand(len(codes), -1, -1)
+        generated = self.generator(codes, p)
+        data = surface_loss(generated, [self.surfaces[id] for id in batch.ids])
+        self.log_losses(data=data)
+        loss = data + self._kept(codes, batch) + self._covered(generated, batch)
+        if self.geometric_regularization:
+            deformation = self._deformation(random)
+            loss = loss + self.deformation_weight * deformation
+            self.log_losses(deformation=deformation)
+        return loss
+
+    def _codes(self, batch: CorrespondenceBatch) -> Tensor:
+        if not self.train_encoder:
+            return self.table.of(batch.ids)
+        codes = self.encode(batch.ids, batch.clouds)
+        codes = codes - codes[:1]
+        self.table.update(batch.ids, codes)
+        return codes
+
+    def _turned_ball(self, random: torch.Generator) -> Tensor:
+        """The icosphere's vertices in a random orientation: a quadrature of the sphere."""
+        basis, triangle = torch.linalg.qr(torch.randn((3, 3), generator=random).double())
+        rotation = basis * triangle.diagonal().sign()
+        rotation = rotation * torch.linalg.det(rotation)
+        return torch.from_numpy(np.array(self.ball.vertices)) @ rotation.T
+
+    def _kept(self, codes: Tensor, batch: CorrespondenceBatch) -> Tensor:
+        """Eq. 10 with its weight at this step."""
+        first, last = self.correspondence_weights
+        progress = self.global_step / max(1, self.trainer.estimated_stepping_batches)
+        weight = first + (last - first) * progress
+        with torch.set_grad_enabled(weight > 0):
+            generated = self.generator(codes, batch.sphere)
+            loss = correspondence_loss(generated, batch.targets, batch.valid)
+        self.log_losses(correspondence=loss)
+        return weight * loss
+
+    def _covered(self, generated: Tensor, batch: CorrespondenceBatch) -> Tensor:
+        """Distance of points of the shapes to the generated surfaces; logged at any weight."""
+        with torch.set_grad_enabled(self.coverage_weight > 0):
+            loss = coverage_loss(batch.surface, generated, self.ball.faces)
+        self.log_losses(coverage=loss)
+        return self.coverage_weight * loss
+
+    def _deformation(self, random: torch.Generator) -> Tensor:
+        """Eq. 12 at codes between neighbours of the tree and random sphere points."""
+        z = self.table.sample(self.deformation_codes, random)
+        p = torch.randn((self.deformation_codes, self.deformation_points, 3), generator=random)
+        p = torch.nn.functional.normalize(p, dim=2).to(z)
+        return generator_deformation(jacobian(self.generator, z, p), self.isometry_weight)
+
+
+class Surfaces(dict[str, ClosestPointTree]):
+    """Closest-point trees of the items of a folder, built when first asked for."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self.folder = folder
+
+    def __missing__(self, id: str) -> ClosestPointTree:
+        mesh = icosphere(5) if id == SPHERE else item_mesh(self.folder, id)
+        self[id] = ClosestPointTree(mesh)
+        return self[id]

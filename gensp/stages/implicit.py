@@ -1,0 +1,193 @@
+"""Stage II: the encoder and the implicit shape generator (paper §3.2)."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from gensp.data.batches import SdfBatch
+from gensp.errors import EmptyLevelSet
+from gensp.geometry.levelset import extract_surface
+from gensp.geometry.reduced import Cover, deformation_cover
+from gensp.losses import encoder_penalty, implicit_deformation, origin_penalty, sdf_loss
+from gensp.models import ImplicitField, PointNet2Encoder, save_model
+from gensp.stages.base import FitStage
+from gensp.stages.latents import CloudCodes, CodeTable, draws, save_codes
+
+
+@dataclass(frozen=True)
+class LevelSetSampling:
+    """How the geometric regulariser samples level sets (paper §3.2).
+
+    Attributes
+    ----------
+    vertices, nodes
+        m and l of Eq. 6.
+    directions
+        Random v over which Eq. 8 is averaged.
+    scale_weight
+        η of Eq. 6.
+    resolution
+        Cells of the marching cubes grid.
+    kept, every
+        Number of level sets kept at a time, and training steps between two extractions.
+    """
+
+    vertices: int = 2000
+    nodes: int = 200
+    directions: int = 8
+    scale_weight: float = 0.1
+    resolution: int = 64
+    kept: int = 4
+    every: int = 20
+
+
+@dataclass(frozen=True)
+class LevelSet:
+    """A sampled code z with the vertices of its level set and their reduced model."""
+
+    z: Tensor
+    points: Tensor
+    cover: Cover
+
+
+class ImplicitStage(FitStage):
+    """Trains e^γ and f^φ on the three terms of Eq. 9, S_0 in every batch.
+
+    Parameters
+    ----------
+    norm
+        Of Eq. 3, `l2` or `l1`.
+    encoder_weight, penalize
+        λ, and what Eq. 4 is taken of: `latents` or the encoder's `weights`.
+    origin_weight
+        Weight of ‖e(S_0)‖².
+    deformation_weight
+        μ.
+    geometric_regularization, regularize_from_epoch
+        Whether and from which epoch on Eq. 5 takes part.
+    sampling
+        How its level sets are sampled.
+    """
+
+    def __init__(
+        self,
+        *,
+        encoder: PointNet2Encoder,
+        field: ImplicitField,
+        norm: str,
+        encoder_weight: float,
+        penalize: str,
+        origin_weight: float,
+        deformation_weight: float,
+        geometric_regularization: bool,
+        regularize_from_epoch: int,
+        sampling: LevelSetSampling,
+        learning_rate: float,
+        seed: int = 0,
+        folder: Path | str = Path("."),
+    ) -> None:
+        super().__init__(learning_rate=learning_rate, seed=seed, folder=folder)
+        self.encoder, self.field = encoder, field
+        self.norm, self.penalize = norm, penalize
+        self.encoder_weight, self.origin_weight = encoder_weight, origin_weight
+        self.deformation_weight = deformation_weight
+        self.geometric_regularization = geometric_regularization
+        self.regularize_from_epoch = regularize_from_epoch
+        self.sampling = sampling
+        self.encode = CloudCodes(encoder)
+        self.level_sets: list[LevelSet] = []
+        self.extracted = -sampling.every
+
+    def setup(self, stage: str) -> None:
+        """Make room for the codes of all items."""
+        self.table = CodeTable(self.trainer.datamodule.ids, self.encoder.latent)
+
+    def training_step(self, batch: SdfBatch, index: int) -> Tensor:
+        """Eq. 9 and the penalty that holds S_0 at the origin."""
+        absolute = self.encode(batch.ids, batch.clouds)
+        codes = absolute - absolute[:1]
+        self.table.update(batch.ids, codes)
+        data = sdf_loss(self.field(codes, batch.points), batch.distances, self.norm)
+        latents = encoder_penalty(codes if self.penalize == "latents" else self._weights())
+        origin = origin_penalty(absolute[0])
+        loss = data + self.encoder_weight * latents + self.origin_weight * origin
+        self.log_losses(data=data, latents=latents, origin=origin)
+        if self.geometric_regularization and self.current_epoch >= self.regularize_from_epoch:
+            deformation = self._deformation()
+            loss = loss + self.deformation_weight * deformation
+            self.log_losses(deformation=deformation)
+        return loss
+
+    def _weights(self) -> Tensor:
+        return torch.cat([weight.flatten() for weight in self.encoder.parameters()])
+
+    def _deformation(self) -> Tensor:
+        """Eq. 5 at one of the kept level sets."""
+        generator = draws(self.seed, self.global_step, self.global_rank)
+        if self.global_step - self.extracted >= self.sampling.every:
+            self.table.join_neighbours()
+            codes = self.table.sample(self.sampling.kept, generator)
+            self.level_sets = [s for s in map(self._level_set, codes) if s is not None]
+            self.extracted = self.global_step
+        if not self.level_sets:
+            return torch.zeros((), device=self.device)
+        chosen = int(torch.randint(len(self.level_sets), (), generator=generator))
+        directions = torch.randn(
+            (self.sampling.directions, self.encoder.latent), generator=generator
+        )
+        level_set = self.level_sets[chosen]
+        return implicit_deformation(
+            self.field.rowwise,
+            level_set.z,
+            level_set.points,
+            level_set.cover,
+            torch.nn.functional.normalize(directions, dim=1).to(self.device),
+            self.sampling.scale_weight,
+        )
+
+    def _level_set(self, z: Tensor) -> LevelSet | None:
+        """The level set of one code; None where the field has none yet."""
+        try:
+            mesh = extract_surface(
+                lambda x: self.field(z[None], x[None])[0],
+                resolution=self.sampling.resolution,
+                vertices=self.sampling.vertices,
+                bounds=self.trainer.datamodule.bound,
+                require_genus_zero=False,
+                device=self.device,
+            )
+        except EmptyLevelSet:
+            return None
+        points = torch.from_numpy(mesh.vertices).to(z)
+        return LevelSet(z, points, deformation_cover(points, self.sampling.nodes))
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Keep the level sets: they belong to networks that no longer exist."""
+        super().on_save_checkpoint(checkpoint)
+        checkpoint["extracted"] = self.extracted
+        checkpoint["level_sets"] = [
+            {"z": s.z, "points": s.points, "nodes": s.cover.nodes, "pairs": s.cover.pairs}
+            for s in self.level_sets
+        ]
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Go on with the level sets in use."""
+        super().on_load_checkpoint(checkpoint)
+        self.extracted = checkpoint["extracted"]
+        self.level_sets = [
+            LevelSet(s["z"], s["points"], Cover(s["nodes"], s["pairs"]))
+            for s in checkpoint["level_sets"]
+        ]
+
+    def finish(self) -> dict[str, float]:
+        """Put S_0 exactly at the origin; write the networks and the codes of all items."""
+        items = self.trainer.datamodule
+        self.encoder.set_origin(items.clouds[:1].to(self.encoder.origin.device))
+        save_codes(
+            self.folder / "latents.npz", items.ids, self.encode.all(items.ids, items.clouds)
+        )
+        save_model(self.folder / "model.pt", encoder=self.encoder, field=self.field)
+        return super().finish()

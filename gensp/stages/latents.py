@@ -1,0 +1,99 @@
+"""What the learning stages keep per item: neighbourhoods of its cloud, its code, its tree edge."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from gensp.files import save_npz
+from gensp.geometry.correspondence import spanning_tree
+from gensp.models import Grouping, PointNet2Encoder
+
+_BATCH = 16
+
+
+class CloudCodes:
+    """The encoder on clouds known by name: every cloud's neighbourhoods are searched once."""
+
+    def __init__(self, encoder: PointNet2Encoder) -> None:
+        self.encoder = encoder
+        self._groupings: dict[str, Grouping] = {}
+
+    def __call__(self, ids: Sequence[str], clouds: Float[Tensor, "b c 3"]) -> Float[Tensor, "b d"]:
+        """Codes of the clouds of some items."""
+        codes: Tensor = self.encoder(clouds, self.grouping(ids, clouds))
+        return codes
+
+    def grouping(self, ids: Sequence[str], clouds: Float[Tensor, "b c 3"]) -> Grouping:
+        """The neighbourhoods of a batch, from the store where it has them."""
+        for id, cloud in zip(ids, clouds, strict=True):
+            if id not in self._groupings:
+                self._groupings[id] = self.encoder.group(cloud[None])
+        return Grouping.cat([self._groupings[id] for id in ids]).to(clouds.device)
+
+    @torch.no_grad()
+    def all(self, ids: Sequence[str], clouds: Float[Tensor, "i c 3"]) -> Float[Tensor, "i d"]:
+        """Codes e(S) − e(S_0) of all items, S_0 first, a batch at a time."""
+        clouds = clouds.to(self.encoder.origin.device)
+        parts = [slice(k, k + _BATCH) for k in range(0, len(ids), _BATCH)]
+        codes = torch.cat([self(ids[part], clouds[part]) for part in parts])
+        return codes - codes[:1]
+
+
+class CodeTable(nn.Module):
+    """The latest code of every item, and p_sync: codes interpolated between neighbours in a tree.
+
+    The codes are part of the state, so that a resumed training draws what it would have drawn.
+    """
+
+    codes: Tensor
+    parent: Tensor
+
+    def __init__(self, ids: Sequence[str], latent: int) -> None:
+        super().__init__()
+        self.rows = {id: row for row, id in enumerate(ids)}
+        self.register_buffer("codes", torch.full((len(ids), latent), torch.nan))
+        self.register_buffer("parent", torch.full((len(ids),), -1))
+
+    def of(self, ids: Sequence[str]) -> Float[Tensor, "b d"]:
+        """Codes of the items."""
+        return self.codes[[self.rows[id] for id in ids]]
+
+    def update(self, ids: Sequence[str], codes: Float[Tensor, "b d"]) -> None:
+        """Keep new codes of some items."""
+        self.codes[[self.rows[id] for id in ids]] = codes.detach()
+
+    def join_neighbours(self) -> None:
+        """Span a minimum tree over the items seen so far, rooted at S_0, the first item."""
+        seen = self.codes.isfinite().all(dim=1).nonzero()[:, 0]
+        tree = spanning_tree(self.codes[seen].cpu().double().numpy(), root=0)
+        parent = torch.from_numpy(tree.parent).to(seen.device)
+        self.parent.fill_(-1)
+        self.parent[seen] = torch.where(parent < 0, parent, seen[parent])
+
+    def join(self, parents: Mapping[str, str]) -> None:
+        """Take the tree from elsewhere: item → parent; items without a known parent stay alone."""
+        for id, row in self.rows.items():
+            self.parent[row] = self.rows.get(parents.get(id, ""), -1)
+
+    def sample(self, count: int, generator: torch.Generator) -> Float[Tensor, "count d"]:
+        """Codes z ~ p_sync on random edges of the tree."""
+        children = (self.parent >= 0).nonzero()[:, 0].cpu()
+        chosen = children[torch.randint(len(children), (count,), generator=generator)]
+        share = torch.rand((count, 1), generator=generator).to(self.codes)
+        chosen = chosen.to(self.codes.device)
+        return torch.lerp(self.codes[self.parent[chosen]], self.codes[chosen], share)
+
+
+def draws(seed: int, step: int, rank: int = 0) -> torch.Generator:
+    """Random numbers of one training step, the same whether or not training was interrupted."""
+    state = np.random.SeedSequence([seed, step, rank]).generate_state(1, np.uint64)
+    return torch.Generator().manual_seed(int(state[0]))
+
+
+def save_codes(path: Path, ids: Sequence[str], codes: Float[Tensor, "i d"]) -> None:
+    """Write latents.npz: ids and their codes, zero for S_0."""
+    save_npz(path, ids=np.array(list(ids)), codes=codes.cpu().numpy())

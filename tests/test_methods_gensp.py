@@ -1,0 +1,98 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from gensp.errors import Unsupported
+from gensp.geometry.mesh import Mesh, normalize
+from gensp.geometry.sphere import icosphere
+from gensp.geometry.spherical_map import SphericalMap
+from gensp.methods import SphericalParameterization
+from gensp.methods.gensp import GenSP
+from gensp.models import AnchoredGenerator, LatentMLP, PointNet2Encoder, save_model
+
+
+def networks() -> dict:
+    torch.manual_seed(0)
+    generator = AnchoredGenerator(LatentMLP(6, 3, 6, width=16, depth=2), rank=2)
+    torch.nn.init.normal_(generator.trunk.last.weight, std=0.05)
+    encoder = PointNet2Encoder(6, width=8, groups=((32, 8), (8, 4)))
+    return {"encoder": encoder, "generator": generator}
+
+
+def unfitted(generated: Mesh, mesh: Mesh) -> Mesh:
+    return generated
+
+
+def unrefined(mesh: Mesh, start: np.ndarray, target: np.ndarray) -> SphericalMap:
+    assert np.array_equal(start, target)
+    return SphericalMap(start, mesh.vertices, mesh.faces, mesh.name, {"rung": "none"})
+
+
+def onto(generated: Mesh, mesh: Mesh) -> Mesh:
+    """A registration that knows the answer: the mesh is a stretched icosphere itself."""
+    return generated.with_vertices(mesh.vertices.copy())
+
+
+SETTINGS = {"fit": unfitted, "refine": unrefined, "level": 3, "points": 128}
+
+
+def test_map_keeps_the_input_and_its_order(bumpy: Mesh) -> None:
+    method: SphericalParameterization = GenSP(**networks(), **SETTINGS)
+    raw = Mesh(3 * bumpy.vertices + 7, bumpy.faces, "raw")
+    result = method(raw)
+    assert np.array_equal(result.surface, raw.vertices)
+    assert np.array_equal(result.faces, raw.faces)
+    assert result.name == "raw"
+    np.testing.assert_allclose(np.linalg.norm(result.sphere, axis=1), 1)
+    assert result.sphere.dtype == np.float64
+    assert {"predicted", "generated", "code"} <= result.arrays.keys()
+    parts = [v for k, v in result.diagnostics.items() if k.startswith("seconds_")]
+    assert result.diagnostics["seconds"] == pytest.approx(sum(parts))
+    assert result.diagnostics["rung"] == "none"
+
+
+def test_code_depends_on_the_shape_alone(bumpy: Mesh) -> None:
+    method = GenSP(**networks(), **SETTINGS)
+    moved = Mesh(2.0 * bumpy.vertices, bumpy.faces, "twice")
+    first, second = method.encode(normalize(bumpy)), method.encode(normalize(bumpy))
+    assert np.array_equal(first, second)
+    np.testing.assert_allclose(
+        method.generate(first).vertices, method(moved).arrays["generated"], atol=0.2
+    )
+
+
+def test_zero_code_generates_the_sphere() -> None:
+    image = GenSP(**networks(), **SETTINGS).generate(np.zeros(6, np.float32), level=2)
+    np.testing.assert_allclose(image.vertices, icosphere(2).vertices, atol=1e-7)
+    assert np.array_equal(image.faces, icosphere(2).faces)
+
+
+def test_exact_generated_surface_is_inverted_exactly(bumpy: Mesh) -> None:
+    method = GenSP(**networks(), **{**SETTINGS, "fit": onto})
+    result = method(bumpy)
+    np.testing.assert_allclose(result.sphere, icosphere(3).vertices, atol=1e-9)
+    assert not result.bad_faces().any()
+
+
+def test_loaded_method_maps_as_the_one_that_was_saved(tmp_path: Path, ellipsoid: Mesh) -> None:
+    save_model(tmp_path / "model.pt", **networks())
+    loaded = GenSP.load(tmp_path / "model.pt", **SETTINGS)
+    expected = GenSP(**networks(), **SETTINGS)(ellipsoid)
+    assert np.array_equal(loaded(ellipsoid).sphere, expected.sphere)
+
+
+def test_model_without_generator_is_refused(tmp_path: Path) -> None:
+    save_model(tmp_path / "model.pt", encoder=networks()["encoder"])
+    with pytest.raises(Unsupported, match="encoder and generator are required"):
+        GenSP.load(tmp_path / "model.pt", **SETTINGS)
+
+
+def test_method_needs_neither_lightning_nor_hydra() -> None:
+    import subprocess
+    import sys
+
+    code = "import sys, gensp.methods.gensp; print({'lightning', 'hydra'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"
