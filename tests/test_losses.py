@@ -8,7 +8,7 @@ from gensp.geometry.distance import ClosestPointTree
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.reduced import deformation_cover
 from gensp.geometry.sphere import icosphere
-from gensp.models import ImplicitField, LatentMLP
+from gensp.models import ImplicitField
 
 
 def double(*shape: int) -> torch.Tensor:
@@ -157,7 +157,7 @@ def test_implicit_deformation_of_a_translating_sphere_is_zero() -> None:
 
 
 def test_implicit_deformation_reaches_the_parameters_of_the_field() -> None:
-    field = ImplicitField(LatentMLP(4, 3, 1, width=16, depth=2, inject=()))
+    field = ImplicitField(4, width=16, depth=2, inject=[])
     points = torch.from_numpy(icosphere(2).vertices).float()
     value = losses.implicit_deformation(
         field.rowwise,

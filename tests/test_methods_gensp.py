@@ -10,12 +10,12 @@ from gensp.geometry.sphere import icosphere
 from gensp.geometry.spherical_map import SphericalMap
 from gensp.methods import SphericalParameterization
 from gensp.methods.gensp import GenSP
-from gensp.models import AnchoredGenerator, LatentMLP, PointNet2Encoder, save_model
+from gensp.models import AnchoredGenerator, PointNet2Encoder, save_model
 
 
 def networks() -> dict:
     torch.manual_seed(0)
-    generator = AnchoredGenerator(LatentMLP(6, 3, 6, width=16, depth=2), rank=2)
+    generator = AnchoredGenerator(6, rank=2, width=16, depth=2)
     torch.nn.init.normal_(generator.trunk.last.weight, std=0.05)
     encoder = PointNet2Encoder(6, width=8, groups=((32, 8), (8, 4)))
     return {"encoder": encoder, "generator": generator}

@@ -22,19 +22,20 @@ from gensp.models.encoder import farthest_points, nearest_groups
 from gensp.models.generator import tangent_frame
 
 LATENT = 5
+LAYERS = {"width": 16, "depth": 4, "inject": [3]}
 
 
 def trunk(inputs: int = 3, outputs: int = 3, **settings: int) -> LatentMLP:
-    return LatentMLP(LATENT, inputs, outputs, width=16, depth=4, inject=(3,), **settings)
+    return LatentMLP(LATENT, inputs, outputs, **{**LAYERS, **settings})
 
 
 def generators() -> dict[str, Generator]:
     torch.manual_seed(1)
     networks = {
-        "direct": DirectGenerator(trunk()),
-        "difference": AnchoredGenerator(trunk(), form="difference"),
-        "linear": AnchoredGenerator(trunk(outputs=9), form="linear", rank=3),
-        "flow": FlowGenerator(trunk(inputs=4, outputs=9), rank=3, steps=3),
+        "direct": DirectGenerator(LATENT, **LAYERS),
+        "difference": AnchoredGenerator(LATENT, form="difference", **LAYERS),
+        "linear": AnchoredGenerator(LATENT, form="linear", rank=3, **LAYERS),
+        "flow": FlowGenerator(LATENT, rank=3, steps=3, **LAYERS),
     }
     for network in networks.values():
         torch.nn.init.normal_(network.trunk.last.weight, std=0.2)
@@ -119,7 +120,7 @@ def test_latent_mlp_keeps_the_code_through_ten_layers() -> None:
 
 
 def test_field_gradients_equal_central_differences() -> None:
-    field = ImplicitField(trunk(outputs=1, octaves=1)).double()
+    field = ImplicitField(LATENT, octaves=1, **LAYERS).double()
     z, x = torch.randn(2, LATENT).double(), torch.randn(2, 6, 3).double()
     gradients = field.gradients(z, x)
     torch.testing.assert_close(gradients.value, field(z, x))
@@ -135,7 +136,7 @@ def test_field_gradients_equal_central_differences() -> None:
 
 
 def test_field_gradients_reach_the_parameters_and_the_code() -> None:
-    field = ImplicitField(trunk(outputs=1))
+    field = ImplicitField(LATENT, **LAYERS)
     z = torch.randn(1, LATENT, requires_grad=True)
     gradients = field.gradients(z, torch.randn(1, 6, 3))
     (gradients.x.square().sum() + gradients.z.square().sum()).backward()
@@ -146,14 +147,14 @@ def test_field_gradients_reach_the_parameters_and_the_code() -> None:
 
 
 def test_field_is_smooth_at_the_centre() -> None:
-    field = ImplicitField(trunk(outputs=1))
+    field = ImplicitField(LATENT, **LAYERS)
     gradients = field.gradients(torch.zeros(1, LATENT), torch.zeros(1, 1, 3))
     gradients.x.square().sum().backward()
     assert all(p.grad is None or p.grad.isfinite().all() for p in field.parameters())
 
 
 def test_sphere_residual_field_without_residual_is_the_sphere() -> None:
-    field = ImplicitField(trunk(outputs=1))
+    field = ImplicitField(LATENT, **LAYERS)
     torch.nn.init.zeros_(field.trunk.last.weight)
     torch.nn.init.zeros_(field.trunk.last.bias)
     x = torch.randn(2, 9, 3)
@@ -205,7 +206,7 @@ def test_tangent_frame_equals_the_one_of_the_geometry() -> None:
 
 def test_latent_scale_gives_the_wanted_spread() -> None:
     codes = 30 + 0.1 * torch.randn(50, LATENT)
-    generator = DirectGenerator(trunk())
+    generator = DirectGenerator(LATENT, **LAYERS)
     generator.fit_latent_scale(codes, spread=2.0)
     scaled = generator.scaled(codes)
     assert (scaled - scaled.mean(0)).square().sum(1).mean().sqrt() == pytest.approx(2, rel=1e-4)
@@ -223,13 +224,13 @@ def test_flow_does_not_fold_the_sphere() -> None:
 
 def test_untrained_residual_generators_are_the_sphere_for_every_code() -> None:
     z, p = 100 * torch.randn(2, LATENT), sphere_points(2, 5).float()
-    assert torch.equal(AnchoredGenerator(trunk(outputs=9), rank=3)(z, p), p)
-    assert torch.equal(FlowGenerator(trunk(4, 9), rank=3)(z, p), p)
+    assert torch.equal(AnchoredGenerator(LATENT, rank=3, **LAYERS)(z, p), p)
+    assert torch.equal(FlowGenerator(LATENT, rank=3, **LAYERS)(z, p), p)
 
 
 def test_unknown_form_is_refused() -> None:
     with pytest.raises(Unsupported, match="'difference' or 'linear' is required"):
-        AnchoredGenerator(trunk(), form="additive")
+        AnchoredGenerator(LATENT, form="additive", **LAYERS)
 
 
 def test_same_seed_same_network(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ from gensp.models import (
     DirectGenerator,
     FlowGenerator,
     ImplicitField,
-    LatentMLP,
     PointNet2Encoder,
     load_model,
     save_model,
@@ -18,10 +17,10 @@ from gensp.models.network import Network
 
 NETWORKS = {
     "encoder": lambda: PointNet2Encoder(4, width=4, groups=((16, 4),), radii=(0.5,)),
-    "field": lambda: ImplicitField(LatentMLP(4, 3, 1, width=8, depth=3, inject=(2,), octaves=2)),
-    "direct": lambda: DirectGenerator(LatentMLP(4, 3, 3, width=8, depth=2, inject=())),
-    "anchored": lambda: AnchoredGenerator(LatentMLP(4, 3, 6, width=8, depth=2), rank=2),
-    "flow": lambda: FlowGenerator(LatentMLP(4, 4, 6, width=8, depth=2), rank=2, steps=2),
+    "field": lambda: ImplicitField(4, width=8, depth=3, inject=(2,), octaves=2),
+    "direct": lambda: DirectGenerator(4, width=8, depth=2, inject=[]),
+    "anchored": lambda: AnchoredGenerator(4, rank=2, width=8, depth=2),
+    "flow": lambda: FlowGenerator(4, rank=2, steps=2, width=8, depth=2),
 }
 
 

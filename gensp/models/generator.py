@@ -40,11 +40,19 @@ class Generator(Network):
 
 
 class DirectGenerator(Generator):
-    """The paper's generator: a plain network from (z, p) to a point."""
+    """The paper's generator: a plain network from (z, p) to a point.
 
-    def __init__(self, trunk: LatentMLP) -> None:
-        super().__init__({"trunk": trunk})
-        self.trunk = trunk
+    Parameters
+    ----------
+    latent
+        Dimension of the code.
+    layers
+        Width, depth, inject, octaves and activation of the `LatentMLP`.
+    """
+
+    def __init__(self, latent: int, **layers: Any) -> None:
+        super().__init__({"latent": latent, **layers})
+        self.trunk = LatentMLP(latent, 3, 3, **layers)
 
     def forward(
         self, z: Float[Tensor, "b d"], p: Float[Tensor, "b n 3"]
@@ -58,25 +66,28 @@ class AnchoredGenerator(Generator):
 
     Parameters
     ----------
-    trunk
-        Network with three inputs; three outputs for `difference`, three times the `rank` for
-        `linear`.
+    latent
+        Dimension of the code.
     form
         `difference`: g = p + h(z, p) − h(0, p). `linear`: g = p + W(z, p)·(A z), one evaluation.
     rank
         Number of rows of A, for `linear`.
+    layers
+        Width, depth, inject, octaves and activation of the `LatentMLP`.
     """
 
-    def __init__(self, trunk: LatentMLP, form: str = "linear", rank: int = 8) -> None:
-        super().__init__({"trunk": trunk, "form": form, "rank": rank})
+    def __init__(self, latent: int, *, form: str = "linear", rank: int = 8, **layers: Any) -> None:
+        super().__init__({"latent": latent, "form": form, "rank": rank, **layers})
         if form not in ("difference", "linear"):
             raise Unsupported(
                 f"anchored generator: form '{form}' is unknown; 'difference' or 'linear' is "
                 "required; set model.generator.form"
             )
-        self.trunk, self.form = _starting_at_zero(trunk), form
+        self.form = form
+        outputs = 3 * rank if form == "linear" else 3
+        self.trunk = _starting_at_zero(LatentMLP(latent, 3, outputs, **layers))
         if form == "linear":
-            self.mixing = nn.Linear(trunk.settings["latent"], rank, bias=False)
+            self.mixing = nn.Linear(latent, rank, bias=False)
 
     def forward(
         self, z: Float[Tensor, "b d"], p: Float[Tensor, "b n 3"]
@@ -98,18 +109,21 @@ class FlowGenerator(Generator):
 
     Parameters
     ----------
-    trunk
-        Network with four inputs (x, t) and three times the `rank` outputs.
+    latent
+        Dimension of the code.
     rank
         Number of rows of A.
     steps
         Runge–Kutta steps.
+    layers
+        Width, depth, inject, octaves and activation of the `LatentMLP`.
     """
 
-    def __init__(self, trunk: LatentMLP, rank: int = 8, steps: int = 4) -> None:
-        super().__init__({"trunk": trunk, "rank": rank, "steps": steps})
-        self.trunk, self.steps = _starting_at_zero(trunk), steps
-        self.mixing = nn.Linear(trunk.settings["latent"], rank, bias=False)
+    def __init__(self, latent: int, *, rank: int = 8, steps: int = 4, **layers: Any) -> None:
+        super().__init__({"latent": latent, "rank": rank, "steps": steps, **layers})
+        self.steps = steps
+        self.trunk = _starting_at_zero(LatentMLP(latent, 4, 3 * rank, **layers))
+        self.mixing = nn.Linear(latent, rank, bias=False)
 
     def forward(
         self, z: Float[Tensor, "b d"], p: Float[Tensor, "b n 3"]

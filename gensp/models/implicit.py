@@ -1,6 +1,7 @@
 """Implicit shape generator f^φ: a signed distance for every code and point (paper §3.2)."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -24,16 +25,18 @@ class ImplicitField(Network):
 
     Parameters
     ----------
-    trunk
-        Network with three inputs and one output.
+    latent
+        Dimension of the code.
     sphere_residual
         Learn the difference to the unit sphere, f = ‖x‖ − 1 + h(z, x), instead of f itself.
+    layers
+        Width, depth, inject, octaves and activation of the `LatentMLP`.
     """
 
-    def __init__(self, trunk: LatentMLP, sphere_residual: bool = True) -> None:
+    def __init__(self, latent: int, *, sphere_residual: bool = True, **layers: Any) -> None:
         super().__init__()
-        self.settings = {"trunk": trunk, "sphere_residual": sphere_residual}
-        self.trunk = trunk
+        self.settings = {"latent": latent, "sphere_residual": sphere_residual, **layers}
+        self.trunk = LatentMLP(latent, 3, 1, **layers)
         self.sphere_residual = sphere_residual
 
     def forward(self, z: Float[Tensor, "b d"], x: Float[Tensor, "b n 3"]) -> Float[Tensor, "b n"]:

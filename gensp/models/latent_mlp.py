@@ -11,8 +11,6 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from gensp.models.network import Network
-
 ACTIVATIONS: dict[str, Callable[[Tensor], Tensor]] = {
     "silu": functional.silu,
     "relu": functional.relu,
@@ -38,7 +36,7 @@ class LatentLinear(nn.Module):
         return functional.linear(x, self.weight[:, self.latent :]) + of_shape[:, None]
 
 
-class LatentMLP(Network):
+class LatentMLP(nn.Module):
     """Fully connected network on points, conditioned on a latent code.
 
     Parameters
@@ -68,16 +66,6 @@ class LatentMLP(Network):
         activation: str = "silu",
     ) -> None:
         super().__init__()
-        self.settings = {
-            "latent": latent,
-            "inputs": inputs,
-            "outputs": outputs,
-            "width": width,
-            "depth": depth,
-            "inject": list(inject),
-            "octaves": octaves,
-            "activation": activation,
-        }
         self.inject = {1, *inject}
         self.octaves = octaves
         self.activation = ACTIVATIONS[activation]

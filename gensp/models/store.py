@@ -12,14 +12,12 @@ from gensp.files import atomic_path
 from gensp.models.encoder import PointNet2Encoder
 from gensp.models.generator import AnchoredGenerator, DirectGenerator, FlowGenerator
 from gensp.models.implicit import ImplicitField
-from gensp.models.latent_mlp import LatentMLP
 from gensp.models.network import Network
 
 CLASSES: dict[str, type[Network]] = {
     cls.__name__: cls
     for cls in (
         PointNet2Encoder,
-        LatentMLP,
         ImplicitField,
         DirectGenerator,
         AnchoredGenerator,
@@ -73,20 +71,13 @@ def load_model(path: Path | str) -> dict[str, Network]:
 def _restored(stored: Any, path: Path) -> Network:
     if not isinstance(stored, Mapping) or {"architecture", "state_dict"} - stored.keys():
         raise Unsupported(_foreign(path, "no architecture and state_dict"))
-    network = _built(stored["architecture"], path)
+    architecture = stored["architecture"]
+    network = _known_class(architecture["class"], path)(**architecture["settings"])
     try:
         network.load_state_dict(stored["state_dict"])
     except RuntimeError as error:
         raise Unsupported(_foreign(path, "weights of another architecture")) from error
     return network.eval()
-
-
-def _built(architecture: Mapping[str, Any], path: Path) -> Network:
-    settings = {
-        name: _built(value, path) if isinstance(value, Mapping) else value
-        for name, value in architecture["settings"].items()
-    }
-    return _known_class(architecture["class"], path)(**settings)
 
 
 def _known_class(name: str, path: Path) -> type[Network]:

@@ -16,7 +16,6 @@ from gensp.models import (
     DirectGenerator,
     FlowGenerator,
     Generator,
-    LatentMLP,
     PointNet2Encoder,
     load_model,
     save_model,
@@ -67,11 +66,10 @@ def generator(form: str = "linear") -> Generator:
     seed_everything(1, verbose=False)
     small = {"width": 48, "depth": 3, "inject": ()}
     if form == "direct":
-        return DirectGenerator(LatentMLP(8, 3, 3, **small))
+        return DirectGenerator(8, **small)
     if form == "flow":
-        return FlowGenerator(LatentMLP(8, 4, 12, **small), rank=4, steps=2)
-    outputs = 12 if form == "linear" else 3
-    return AnchoredGenerator(LatentMLP(8, 3, outputs, **small), form=form, rank=4)
+        return FlowGenerator(8, rank=4, steps=2, **small)
+    return AnchoredGenerator(8, form=form, rank=4, **small)
 
 
 def initialize_stage(folder: Path, form: str = "linear") -> InitializeStage:

@@ -12,7 +12,7 @@ from gensp.data.training import Batching, SdfModule
 from gensp.files import load_npz
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.sphere import icosphere
-from gensp.models import ImplicitField, LatentMLP, PointNet2Encoder, load_model
+from gensp.models import ImplicitField, PointNet2Encoder, load_model
 from gensp.stages.implicit import ImplicitStage, LevelSetSampling
 
 
@@ -39,7 +39,7 @@ def implicit_stage(folder: Path, **changes: object) -> ImplicitStage:
     seed_everything(0, verbose=False)
     settings = {
         "encoder": PointNet2Encoder(8, width=8, groups=((32, 8), (8, 4))),
-        "field": ImplicitField(LatentMLP(8, 3, 1, width=32, depth=3, inject=(2,))),
+        "field": ImplicitField(8, width=32, depth=3, inject=(2,)),
         "norm": "l1",
         "encoder_weight": 1e-3,
         "penalize": "latents",
