@@ -1,11 +1,9 @@
 """From a configuration to a finished stage; the only module that makes objects from it."""
 
 import errno
-import logging
 import os
-import sys
+import tempfile
 import time
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,18 +11,18 @@ from typing import Any
 
 import torch
 from hydra import compose
-from hydra.errors import CompactHydraException
+from hydra.errors import CompactHydraException, InstantiationException
 from hydra.utils import instantiate
 from lightning import Trainer, seed_everything
 from lightning.pytorch.utilities import rank_zero_only
 from omegaconf import DictConfig, OmegaConf
 
-from gensp.errors import GenSPError, OutputError, Unsupported
+from gensp.errors import GenSPError, MissingData, OutputError, Unsupported
 from gensp.files import write_text
-from gensp.runs import CHECKPOINT, Progress, Run, Runs, begin, clear, restart, seal
-from gensp.stages.base import Stage
+from gensp.runs import Progress, Run, Runs, begin, clear, restart
 from gensp.stages.callbacks import WholeCheckpoints
-from gensp.terminal import announce, complain, report, say
+from gensp.stages.session import carry_out, close, conclude, cores, quiet
+from gensp.terminal import announce, complain, say
 
 _TRAINER_SCIENCE = (
     "max_epochs",
@@ -97,13 +95,14 @@ def run_stage(cfg: DictConfig, overrides: Sequence[str] = (), place: str = "") -
     OutputError
         Its folder cannot be written.
     """
+    _require_values(cfg)
     name = cfg.stage.name
     runs = runs_of(cfg, overrides)
     folder = runs.folder(name)
     inputs = {need: runs.open(need, needed_by=name) for need in cfg.stage.needs}
     settings = settings_of(cfg, inputs)
     announce(name, folder, place)
-    with _output_errors(folder):
+    with _output_errors(folder), _place(cfg, folder) as folder:
         state = _prepare(cfg, folder, settings)
         if state is Progress.ALL:
             say("      finished before, kept")
@@ -111,6 +110,14 @@ def run_stage(cfg: DictConfig, overrides: Sequence[str] = (), place: str = "") -
         optional = {use: runs.find(use) for use in cfg.stage.get("optional", ())}
         inputs |= {use: found for use, found in optional.items() if found is not None}
         return _execute(cfg, folder, inputs, settings, state)
+
+
+def _require_values(cfg: DictConfig) -> None:
+    missing = sorted(OmegaConf.missing_keys(cfg))
+    if missing:
+        raise MissingData(
+            f"{', '.join(missing)}: no value was given; one is required; add {missing[0]}=VALUE"
+        )
 
 
 def runs_of(cfg: DictConfig, overrides: Sequence[str] = ()) -> Runs:
@@ -153,18 +160,23 @@ def _without_workers(node: Any) -> Any:
     return [_without_workers(value) for value in node] if isinstance(node, list) else node
 
 
+@contextmanager
+def _place(cfg: DictConfig, folder: Path) -> Iterator[Path]:
+    """The stage's folder, or one that is thrown away when only one batch is tried."""
+    if not cfg.trainer.get("fast_dev_run"):
+        yield folder
+        return
+    with tempfile.TemporaryDirectory(prefix="gensp-") as scratch:
+        yield Path(scratch)
+
+
 def _prepare(cfg: DictConfig, folder: Path, settings: Mapping[str, Any]) -> Progress:
     """The restart rule, on a folder that rank zero alone may change."""
     if cfg.trainer.get("fast_dev_run"):
         return Progress.NOTHING
-    first = rank_zero_only.rank == 0
-    if cfg.force and first:
+    if cfg.force and rank_zero_only.rank == 0:
         clear(folder)
-    state = Progress.NOTHING if cfg.force else restart(folder, settings)
-    if state is Progress.NOTHING and first:
-        begin(folder, settings)
-        write_text(folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
-    return state
+    return Progress.NOTHING if cfg.force else restart(folder, settings)
 
 
 def _execute(
@@ -175,114 +187,51 @@ def _execute(
     state: Progress,
 ) -> float | None:
     began = time.monotonic()
-    _quiet()
+    quiet()
     seed_everything(cfg.seed, workers=True, verbose=False)
-    torch.set_num_threads(cfg.threads or _cores())
-    data = instantiate(cfg.data, _partial_=True, _convert_="all")(inputs=inputs, folder=folder)
-    module = instantiate(cfg.stage.module, _partial_=True, _convert_="all")(
-        inputs=inputs, folder=folder
-    )
-    loggers = [
-        instantiate(node, save_dir=str(folder)) for node in (cfg.logger or {}).values() if node
-    ]
+    torch.set_num_threads(cfg.threads or cores())
+    data = _made(cfg.data, inputs=inputs, folder=folder)
+    module = _made(cfg.stage.module, inputs=inputs, folder=folder)
+    # After the inputs have proved good: a mistyped folder leaves no trace.
+    _begin(cfg, folder, settings, state)
+    loggers = [_made(node, save_dir=str(folder)) for node in (cfg.logger or {}).values()]
     trainer = _trainer(cfg, folder, loggers)
     for logger in loggers:
         logger.log_hyperparams(OmegaConf.to_container(cfg, resolve=True))
     try:
-        _go(trainer, cfg.stage.verb, module, data, folder if state is Progress.SOME else None)
+        carry_out(trainer, cfg.stage.verb, module, data, resume=state is Progress.SOME)
         if trainer.fast_dev_run:
             return None
-        return _end(trainer, module, settings, inputs, began)
+        return conclude(trainer, module, settings=settings, inputs=inputs, began=began)
     finally:
-        _close(loggers)
+        close(loggers)
+
+
+def _begin(cfg: DictConfig, folder: Path, settings: Mapping[str, Any], state: Progress) -> None:
+    if state is Progress.NOTHING and rank_zero_only.rank == 0:
+        begin(folder, settings)
+        write_text(folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
+
+
+def _made(node: DictConfig, **given: Any) -> Any:
+    """The object that a node of the configuration describes; its own errors come out bare."""
+    try:
+        return instantiate(node, _partial_=True, _convert_="all")(**given)
+    except InstantiationException as error:
+        if isinstance(error.__cause__, GenSPError | OSError):
+            raise error.__cause__ from None
+        raise
 
 
 def _trainer(cfg: DictConfig, folder: Path, loggers: list[Any]) -> Trainer:
-    callbacks = [instantiate(node) for node in (cfg.callbacks or {}).values() if node]
-    return instantiate(
+    callbacks = [_made(node) for node in (cfg.callbacks or {}).values()]
+    return _made(
         cfg.trainer,
         callbacks=callbacks,
         logger=loggers or False,
         default_root_dir=str(folder),
         plugins=[WholeCheckpoints()],
     )
-
-
-def _go(trainer: Trainer, verb: str, module: Stage, data: Any, begun: Path | None) -> None:
-    if verb == "predict":
-        trainer.predict(module, datamodule=data, return_predictions=False)
-        return
-    saved = begun / CHECKPOINT if begun else None
-    found = saved is not None and saved.is_file()
-    if found:
-        say("      resumed from its last checkpoint")
-    trainer.fit(module, datamodule=data, ckpt_path=str(saved) if found else None)
-
-
-def _end(
-    trainer: Trainer,
-    module: Stage,
-    settings: Mapping[str, Any],
-    inputs: Mapping[str, Run],
-    began: float,
-) -> float | None:
-    """Rank zero merges and seals; the others wait, so that they find the manifest."""
-    trainer.strategy.barrier("verb")
-    if trainer.is_global_zero:
-        with torch.inference_mode(False):
-            metrics = module.finish()
-        seconds = round(time.monotonic() - began, 3)
-        facts = {
-            "inputs": {name: run.digest for name, run in inputs.items()},
-            "seconds": seconds,
-            "device": _device(trainer),
-            "threads": torch.get_num_threads(),
-            "ranks": trainer.world_size,
-        }
-        stage = settings["stage"]["name"]
-        seal(module.folder, stage=stage, settings=settings, metrics=metrics, facts=facts)
-        for logger in trainer.loggers:
-            logger.log_metrics({f"end/{name}": value for name, value in metrics.items()})
-        report(module.folder, metrics, seconds)
-    trainer.strategy.barrier("seal")
-    return Run(module.folder).headline
-
-
-def _device(trainer: Trainer) -> str:
-    root = trainer.strategy.root_device
-    return torch.cuda.get_device_name(root) if root.type == "cuda" else root.type
-
-
-def _cores() -> int:
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return max(1, (cores or 1) // int(os.environ.get("LOCAL_WORLD_SIZE", "1")))
-
-
-def _quiet() -> None:
-    """Lightning's remarks on what is meant to be so here."""
-    for name in ("lightning.pytorch", "lightning.fabric", "lightning"):
-        logging.getLogger(name).setLevel(logging.WARNING)
-    remarks = (
-        ".*does not have many workers.*",
-        ".*`IterableDataset` has `__len__` defined.*",
-        ".*smaller than the logging interval.*",
-        ".*GPU available but not used.*",
-        ".*Experiment logs directory .* exists and is not empty.*",
-        ".*Checkpoint directory .* exists and is not empty.*",
-        ".*Total length of .* is zero.*",
-        ".*LeafSpec.*is deprecated.*",
-    )
-    for remark in remarks:
-        warnings.filterwarnings("ignore", remark)
-
-
-def _close(loggers: Sequence[Any]) -> None:
-    failed = sys.exc_info()[0] is not None
-    for logger in loggers:
-        logger.finalize("failed" if failed else "success")
-        finish = getattr(logger.experiment, "finish", None)
-        if callable(finish):
-            finish()
 
 
 @contextmanager

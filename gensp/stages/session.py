@@ -1,0 +1,100 @@
+"""The Lightning side of a run: the verb, the seal, the loggers' end."""
+
+import logging
+import os
+import sys
+import time
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from lightning import LightningDataModule, Trainer
+
+from gensp.runs import CHECKPOINT, Run, seal
+from gensp.stages.base import Stage
+from gensp.terminal import report, say
+
+_MEANT_TO_BE_SO = (
+    ".*does not have many workers.*",
+    ".*`IterableDataset` has `__len__` defined.*",
+    ".*smaller than the logging interval.*",
+    ".*GPU available but not used.*",
+    ".*Experiment logs directory .* exists and is not empty.*",
+    ".*Checkpoint directory .* exists and is not empty.*",
+    ".*Total length of .* is zero.*",
+    ".*LeafSpec.*is deprecated.*",
+)
+
+
+def quiet() -> None:
+    """Leave out Lightning's remarks on what is meant to be so here."""
+    for name in ("lightning.pytorch", "lightning.fabric", "lightning"):
+        logging.getLogger(name).setLevel(logging.WARNING)
+    for remark in _MEANT_TO_BE_SO:
+        warnings.filterwarnings("ignore", remark)
+
+
+def cores() -> int:
+    """Cores of this process, shared with the other ranks of a torchrun on this machine."""
+    own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return max(1, (own or 1) // int(os.environ.get("LOCAL_WORLD_SIZE", "1")))
+
+
+def carry_out(
+    trainer: Trainer, verb: str, module: Stage, data: LightningDataModule, *, resume: bool
+) -> None:
+    """Fit or predict; a fit goes on from its last checkpoint."""
+    if verb == "predict":
+        trainer.predict(module, datamodule=data, return_predictions=False)
+        return
+    saved = module.folder / CHECKPOINT
+    found = resume and saved.is_file()
+    if found:
+        say("      resumed from its last checkpoint")
+    trainer.fit(module, datamodule=data, ckpt_path=str(saved) if found else None)
+
+
+def conclude(
+    trainer: Trainer,
+    module: Stage,
+    *,
+    settings: Mapping[str, Any],
+    inputs: Mapping[str, Run],
+    began: float,
+) -> float | None:
+    """Rank zero merges and seals; the others wait, so that they find the manifest."""
+    trainer.strategy.barrier("verb")
+    if trainer.is_global_zero:
+        metrics = module.finish()
+        seconds = round(time.monotonic() - began, 3)
+        facts = {
+            "inputs": {name: run.digest for name, run in inputs.items()},
+            "seconds": seconds,
+            "device": _device(trainer),
+            "threads": torch.get_num_threads(),
+            "ranks": trainer.world_size,
+        }
+        for logger in trainer.loggers:
+            logger.log_metrics({f"end/{name}": value for name, value in metrics.items()})
+            logger.save()
+        stage = settings["stage"]["name"]
+        seal(module.folder, stage=stage, settings=settings, metrics=metrics, facts=facts)
+        report(module.folder, metrics, seconds)
+    trainer.strategy.barrier("seal")
+    return Run(module.folder).headline
+
+
+def _device(trainer: Trainer) -> str:
+    root = trainer.strategy.root_device
+    return torch.cuda.get_device_name(root) if root.type == "cuda" else root.type
+
+
+def close(loggers: Sequence[Any]) -> None:
+    """Finish what the loggers keep open, also when the stage failed."""
+    failed = sys.exc_info()[0] is not None
+    for logger in loggers:
+        logger.finalize("failed" if failed else "success")
+        finish = getattr(logger.experiment, "finish", None)
+        if callable(finish):
+            finish()

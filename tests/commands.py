@@ -1,0 +1,59 @@
+"""Running the program as a person does; one smoke run that many tests read."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+STAGES = (
+    "augment",
+    "implicit",
+    "correspond",
+    "initialize",
+    "finetune",
+    "parameterize",
+    "evaluate",
+)
+_RANKS = ("RANK", "LOCAL_RANK", "WORLD_SIZE", "LOCAL_WORLD_SIZE", "NODE_RANK", "MASTER_PORT")
+
+
+def command(*words: str) -> list[str]:
+    return [sys.executable, "train.py", *words]
+
+
+def environment() -> dict[str, str]:
+    """One thread, and nothing of an outer launcher."""
+    kept = {name: value for name, value in os.environ.items() if name not in _RANKS}
+    return {**kept, "OMP_NUM_THREADS": "1", "IGL_NUM_THREADS": "1", "COLUMNS": "200"}
+
+
+def train(*words: str, code: int = 0) -> subprocess.CompletedProcess[str]:
+    """Run train.py and check its exit code."""
+    done = subprocess.run(
+        command(*words), cwd=ROOT, env=environment(), capture_output=True, text=True, timeout=590
+    )
+    assert done.returncode == code, done.stdout[-3000:] + done.stderr[-6000:]
+    return done
+
+
+def smoke_words(runs: Path) -> list[str]:
+    return ["experiment=smoke", f"paths.runs={runs}", f"paths.cache={runs}/cache", "threads=1"]
+
+
+@pytest.fixture(scope="session")
+def smoke(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The runs folder of `experiment=smoke`, all stages; to be read only."""
+    runs = tmp_path_factory.mktemp("smoke") / "runs"
+    done = train(*smoke_words(runs))
+    (runs / "output.txt").write_text(done.stdout)
+    return runs
+
+
+@pytest.fixture
+def smoke_copy(smoke: Path, tmp_path: Path) -> Path:
+    """A copy of the smoke runs, to be changed."""
+    return Path(shutil.copytree(smoke, tmp_path / "runs"))
