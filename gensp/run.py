@@ -32,7 +32,10 @@ _TRAINER_SCIENCE = (
     "gradient_clip_val",
     "limit_train_batches",
 )
-_FULL_OR_FORBIDDEN = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM}
+_FULL_OR_FORBIDDEN = {
+    *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM),
+    errno.ENOTDIR,
+}
 
 
 def run(cfg: DictConfig, overrides: Sequence[str] = ()) -> float | None:

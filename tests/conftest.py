@@ -12,6 +12,8 @@ install_import_hook(["gensp.geometry", "gensp.models", "gensp.losses"], "beartyp
 import numpy as np
 import pytest
 import torch
+from commands import smoke as smoke
+from commands import smoke_copy as smoke_copy
 
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import icosphere

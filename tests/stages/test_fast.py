@@ -1,0 +1,31 @@
+"""`debug=fast`: one batch or one item through every stage, nothing kept."""
+
+from pathlib import Path
+
+import pytest
+from commands import STAGES, smoke_words, train
+
+
+def listing(folder: Path) -> dict[Path, int]:
+    paths = (path for path in folder.rglob("*") if path.is_file() and "cache" not in path.parts)
+    return {path: path.stat().st_mtime_ns for path in paths}
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_one_batch(stage: str, smoke: Path) -> None:
+    before = listing(smoke)
+    done = train(*smoke_words(smoke), f"stage={stage}", "debug=fast")
+    assert listing(smoke) == before
+    assert stage in done.stdout
+    assert "1/1" in done.stdout
+
+
+@pytest.mark.parametrize("words", [("fit=register",), ("method=cmcf",), ("refine=none",)])
+def test_one_map(words: tuple[str, ...], smoke: Path) -> None:
+    train(*smoke_words(smoke), "stage=parameterize", "debug=fast", *words)
+
+
+@pytest.mark.parametrize("generator", ["direct", "flow"])
+def test_other_generators(generator: str, smoke: Path) -> None:
+    words = ("stage=initialize", "debug=fast", f"model/generator={generator}")
+    train(*smoke_words(smoke), *words)

@@ -1,0 +1,71 @@
+"""Kill -9 in the middle of every stage, run again: what is finished stays, the result is equal."""
+
+import os
+import shutil
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+from commands import ROOT, STAGES, command, environment, smoke_words, train
+from compare import different
+
+pytestmark = pytest.mark.slow
+
+
+def kill_in_the_middle(folder: Path, *words: str) -> None:
+    """Start a stage and kill it, workers included, once something of it is on the disk."""
+    process = subprocess.Popen(
+        command(*words),
+        cwd=ROOT,
+        env=environment(),
+        start_new_session=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        until = time.monotonic() + 120
+        while not begun(folder) and process.poll() is None and time.monotonic() < until:
+            time.sleep(0.002)
+    finally:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+
+def begun(folder: Path) -> bool:
+    return (folder / "checkpoints" / "last.ckpt").is_file() or any(folder.glob("rows/*.json"))
+
+
+def finished_items(folder: Path) -> dict[Path, int]:
+    return {path: path.stat().st_mtime_ns for path in folder.glob("rows/*.json")}
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_a_killed_stage_goes_on(stage: str, smoke: Path, smoke_copy: Path) -> None:
+    folder = smoke_copy / "smoke" / "full" / stage
+    shutil.rmtree(folder)
+    slowly = ("workers.jobs=1", "callbacks.last.every_seconds=0")
+    words = (*smoke_words(smoke_copy), f"stage={stage}", *slowly)
+    kill_in_the_middle(folder, *words)
+    assert begun(folder)
+    assert not (folder / "manifest.json").exists(), "killed too late to be of use"
+    kept = finished_items(folder)
+    train(*words)
+    assert kept.items() <= finished_items(folder).items()
+    assert different(folder, smoke / "smoke" / "full" / stage) == []
+
+
+def test_a_finished_stage_returns_at_once(smoke_copy: Path) -> None:
+    folder = smoke_copy / "smoke" / "full" / "implicit"
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+    done = train(*smoke_words(smoke_copy), "stage=implicit")
+    assert "finished before" in done.stdout
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
+
+
+def test_a_forced_stage_is_made_anew_and_equal(smoke: Path, smoke_copy: Path) -> None:
+    folder = smoke_copy / "smoke" / "full" / "augment"
+    (folder / "stray.txt").touch()
+    train(*smoke_words(smoke_copy), "stage=augment", "force=true")
+    assert different(folder, smoke / "smoke" / "full" / "augment") == []

@@ -1,0 +1,83 @@
+"""What a person reads when a run cannot go on: one line, exit code 2, nothing half written."""
+
+import resource
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from commands import ROOT, command, environment, smoke_words, train
+
+
+def complaint(*words: str) -> str:
+    done = train(*words, code=2)
+    lines = done.stderr.strip().splitlines()
+    assert len(lines) == 1, done.stderr
+    return lines[0]
+
+
+def test_missing_stage_names_the_command(tmp_path: Path) -> None:
+    line = complaint(*smoke_words(tmp_path), "stage=correspond")
+    assert line.startswith("error: 'correspond' needs 'augment', but ")
+    assert "has no manifest.json; run: python train.py experiment=smoke" in line
+    assert line.endswith("stage=augment")
+
+
+def test_other_settings_are_named(smoke: Path) -> None:
+    line = complaint(*smoke_words(smoke), "stage=augment", "recipe.augment.samples=5")
+    assert "made with other settings (data.task.samples: " in line
+    assert "→ 5" in line
+    assert line.endswith("add force=true to make it anew, or name=NEW to keep both")
+
+
+def test_other_predecessor_is_named(smoke_copy: Path) -> None:
+    words = (*smoke_words(smoke_copy), "recipe.augment.max_steps=55")
+    train(*words, "stage=augment", "force=true")
+    line = complaint(*words, "stage=implicit")
+    assert "inputs.augment: " in line
+
+
+def test_missing_value_is_asked_for() -> None:
+    line = complaint("stage=augment", "shapes=folder")
+    assert line == (
+        "error: shapes.root: no value was given; one is required; add shapes.root=VALUE"
+    )
+
+
+def test_mistyped_folder_leaves_no_trace(tmp_path: Path) -> None:
+    words = (f"paths.runs={tmp_path / 'runs'}", "stage=augment", "shapes=folder")
+    assert "shapes.root=FOLDER" in complaint(*words, f"shapes.root={tmp_path / 'none'}")
+    assert not (tmp_path / "runs").exists()
+
+
+def test_place_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    words = ("experiment=smoke", f"paths.cache={tmp_path}/cache", "stage=augment")
+    line = complaint(*words, f"paths.runs={tmp_path}/file/runs")
+    assert "cannot be written (Not a directory)" in line
+    assert "paths.runs=FOLDER" in line
+
+
+@pytest.mark.parametrize("stage", ["augment", "implicit"])
+def test_full_disk(stage: str, smoke_copy: Path) -> None:
+    """A limit on the size of files stands in for the disk."""
+    folder = smoke_copy / "smoke" / "full" / stage
+    shutil.rmtree(folder)
+    limit = 20_000
+    done = subprocess.run(
+        command(*smoke_words(smoke_copy), f"stage={stage}", "workers.jobs=1", "logger=none"),
+        cwd=ROOT,
+        env=environment(),
+        capture_output=True,
+        text=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+    )
+    assert done.returncode == 2, done.stderr[-3000:]
+    assert done.stderr.startswith("error: ")
+    assert "cannot be written (File too large)" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not (folder / "manifest.json").exists()
+    left = [path for path in folder.rglob("*") if path.is_file()]
+    assert all(path.stat().st_size < limit for path in left)
+    assert not [path for path in left if path.name.startswith(".")]
+    train(*smoke_words(smoke_copy), f"stage={stage}", "workers.jobs=1", "logger=none")
