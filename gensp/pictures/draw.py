@@ -18,7 +18,7 @@ from gensp.pictures import sheets
 from gensp.pictures.curves import error_curves, loss_curves, read_history, save_figure
 from gensp.pictures.latent import latent_map
 from gensp.pictures.montage import Tile, save_png
-from gensp.pictures.render import View, look
+from gensp.pictures.render import View, look, up_axis
 from gensp.pictures.report import Page, write_report
 
 TRAINED = ("implicit", "initialize", "finetune")
@@ -50,7 +50,7 @@ class PictureOptions:
         Threads that draw.
     """
 
-    tile: int = 400
+    tile: int = 360
     frames: int = 7
     strips: int = 3
     turning: int = 12
@@ -184,10 +184,11 @@ def morph_strips(material: Material) -> list[Path]:
     if not material.morphs:
         raise NotDrawn("this method has no generator")
     size = _strip_tile(material)
-    rows = [
-        sheets.morph_tiles(meshes, name, material.view, size)
-        for name, meshes in material.morphs.items()
-    ]
+    rows = sheets.together(
+        lambda named: sheets.morph_tiles(named[1], named[0], material.view, size),
+        material.morphs.items(),
+        material.options.jobs,
+    )
     return [_strips(material, rows, "morphs", "From the sphere to a shape", "g(t·z)")]
 
 
@@ -199,12 +200,14 @@ def flow_strips(material: Material) -> list[Path]:
     }
     if not found:
         raise NotDrawn("stage augment left no flow of these shapes")
-    rows = []
-    for name in material.options.chosen(found):
+    size, frames = _strip_tile(material), material.options.frames
+
+    def strip(name: str) -> list[Tile]:
         flow = load_npz(folder / f"{name}.npz")
-        vertices = flow["vertices"].astype(np.float64)
-        strip = (material.view, _strip_tile(material), material.options.frames)
-        rows.append(sheets.flow_tiles(vertices, flow["faces"].astype(np.int64), name, *strip))
+        vertices, faces = flow["vertices"].astype(np.float64), flow["faces"].astype(np.int64)
+        return sheets.flow_tiles(vertices, faces, name, material.view, size, frames)
+
+    rows = sheets.together(strip, material.options.chosen(found), material.options.jobs)
     note = "conformalised mean curvature flow, equal steps of arc length"
     return [_strips(material, rows, "flows", "From a shape to the sphere", note)]
 
@@ -387,6 +390,7 @@ def _page(
         pictures=shown,
         turning={f"{name} ({splits[name]})": material.maps[name] for name in turning},
         turn=material.view.rotation,
+        up=up_axis(options.up).tolist(),
         not_drawn=not_drawn,
         settings=settings,
     )

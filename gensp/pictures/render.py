@@ -48,13 +48,18 @@ class View:
         return (vertices - self.centre) @ self.rotation.T / self.extent
 
 
+def up_axis(up: str) -> Float[np.ndarray, " 3"]:
+    """The unit vector of x, y or z, reversed by a minus sign."""
+    return np.array(UP_AXES[up[-1]], dtype=float) * (-1 if up.startswith("-") else 1)
+
+
 def look(up: str = "y", azimuth: float = 30, elevation: float = 15) -> View:
     """A three-quarter view: degrees around the up axis and above the ground.
 
     `up` is x, y or z, with a minus sign for a collection that stands on its head. Azimuth 0 looks
     at the front, which is +z for y up and the next axis in turn for the others.
     """
-    axis = np.array(UP_AXES[up[-1]], dtype=float) * (-1 if up.startswith("-") else 1)
+    axis = up_axis(up)
     front = np.roll(np.abs(axis), 1)
     right = np.cross(axis, front)
     a, e = np.radians(azimuth), np.radians(elevation)
@@ -82,18 +87,23 @@ class Fragments:
 
 
 def rasterize(
-    projected: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"], size: int
+    projected: Float[np.ndarray, "n 3"],
+    faces: Int[np.ndarray, "m 3"],
+    size: int,
+    *,
+    closed: bool = False,
 ) -> Fragments:
     """The nearest triangle at every pixel centre of a size×size picture.
 
-    Triangles are expanded into the pixels of their bounding boxes, in bounded portions.
+    Triangles that look away from the eye are left out if the surface is `closed`. Triangles are
+    expanded into the pixels of their bounding boxes, in bounded portions.
     """
     screen = np.stack(
         [(projected[:, 0] + 1) * size / 2, (1 - projected[:, 1]) * size / 2, projected[:, 2]], 1
     )
     nearest = np.full(size * size, -np.inf, dtype=np.float32)
     parts = []
-    for part in _portions(screen, faces, size):
+    for part in _portions(screen, faces, size, closed):
         closer = part.depth > nearest[part.pixel]
         order = np.argsort(part.depth[closer], kind="stable")
         chosen = np.flatnonzero(closer)[order]
@@ -115,7 +125,9 @@ def _taken(fragments: Fragments, index: np.ndarray) -> Fragments:
     return Fragments(*(field[index] for field in _fields(fragments)))
 
 
-def _portions(screen: np.ndarray, faces: np.ndarray, size: int) -> Iterator[Fragments]:
+def _portions(
+    screen: np.ndarray, faces: np.ndarray, size: int, closed: bool
+) -> Iterator[Fragments]:
     # Single precision is a ten-thousandth of a pixel, and half the memory traffic.
     corners = screen[faces].astype(np.float32)
     # Pixel centres lie at half-integers: box of integers i with low ≤ i + 1/2 ≤ high.
@@ -124,7 +136,11 @@ def _portions(screen: np.ndarray, faces: np.ndarray, size: int) -> Iterator[Frag
     low = np.clip(np.ceil(smallest - 0.5), 0, size).astype(np.int64)
     high = np.clip(np.floor(largest + 0.5), 0, size).astype(np.int64)
     box = np.maximum(high - low, 0)
-    count = box.prod(axis=1)
+    count = box[:, 0] * box[:, 1]
+    if closed:
+        # Rows run downwards, so a triangle that faces the eye turns clockwise on the screen.
+        (ux, uy), (vx, vy) = (b - a).T, (c - a).T
+        count[ux * vy - uy * vx >= 0] = 0
     portion = np.cumsum(count) // CANDIDATES
     for index in range(int(portion[-1]) + 1 if len(count) else 0):
         chosen = np.flatnonzero((portion == index) & (count > 0))
@@ -179,16 +195,19 @@ class Scene:
     Parameters
     ----------
     mesh
-        The triangles to draw; folded and inverted ones are drawn too.
+        The triangles to draw; folded and inverted ones are drawn too, unless `closed`.
     view
         The camera, see `look` and `View.fitted`.
     size
         Side of the picture in pixels.
+    closed
+        The surface is closed and looks outwards, so that its far side needs no drawing.
     """
 
-    def __init__(self, mesh: Mesh, view: View, size: int) -> None:
+    def __init__(self, mesh: Mesh, view: View, size: int, *, closed: bool = False) -> None:
         self.mesh, self.size, self._fine = mesh, size, size * SUPERSAMPLING
-        self.fragments = rasterize(view.project(mesh.vertices), mesh.faces, self._fine)
+        projected = view.project(mesh.vertices)
+        self.fragments = rasterize(projected, mesh.faces, self._fine, closed=closed)
         turned = mesh.vertex_normals @ view.rotation.T
         normals = unit(self.fragments.interpolate(turned, mesh.faces))
         light, self._shine = _light(normals)

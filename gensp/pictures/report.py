@@ -5,6 +5,7 @@ import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from html import escape
 from importlib import metadata
 from importlib.resources import files
@@ -43,6 +44,8 @@ class Page:
         Maps of the shapes that turn, each with its label.
     turn
         The view in which they begin: rows right, up, towards the eye.
+    up
+        The axis about which they turn.
     not_drawn
         Pictures that are missing, with the reason.
     settings
@@ -55,6 +58,7 @@ class Page:
     pictures: Sequence[tuple[str, str, Sequence[Path]]]
     turning: Mapping[str, SphericalMap]
     turn: Float[np.ndarray, "3 3"]
+    up: Sequence[float] = (0, 1, 0)
     not_drawn: Mapping[str, str] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
 
@@ -62,13 +66,14 @@ class Page:
 def write_report(page: Page, path: Path, *, turning_faces: int = 20_000) -> Path:
     """Write the page: styles, script, pictures and shapes are all inside the one file."""
     shapes = [_shape(label, map, turning_faces) for label, map in page.turning.items()]
+    data = {"turn": page.turn.tolist(), "up": list(page.up), "shapes": shapes}
     filled = {
         "title": escape(page.title),
         "subtitle": escape(page.subtitle),
         "style": _part("report.css"),
         "sections": "\n".join(_sections(page)),
         # A closing tag within the data would end the script element.
-        "shapes": json.dumps({"turn": page.turn.tolist(), "shapes": shapes}).replace("</", "<\\/"),
+        "shapes": json.dumps(data).replace("</", "<\\/"),
         "script": _part("viewer.js"),
     }
     text = _part("report.html")
@@ -139,7 +144,6 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]], *, text: bool = F
 
 def _viewer() -> str:
     pane = '<div class="pane"><canvas></canvas><select aria-label="shape"></select></div>'
-    texture = _data_uri(Image.fromarray(cube_map(TEXTURE_SIZE)), "PNG")
     controls = (
         '<div class="controls"><label>shape <input id="morph" type="range" min="0" max="1" '
         'step="0.01" value="0"> sphere</label><label><input id="spin" type="checkbox" checked> '
@@ -152,8 +156,13 @@ def _viewer() -> str:
     return (
         '<section><h2>Shapes that turn</h2><p class="note" id="viewer-note">'
         f'{note}</p>{controls}<div class="panes">{pane}{pane}</div>'
-        f'<img id="texture" alt="" hidden src="{texture}"></section>'
+        f'<img id="texture" alt="" hidden src="{_texture()}"></section>'
     )
+
+
+@lru_cache(maxsize=1)
+def _texture() -> str:
+    return _data_uri(Image.fromarray(cube_map(TEXTURE_SIZE)), "PNG")
 
 
 def _left_out(page: Page) -> Iterator[str]:
@@ -179,8 +188,13 @@ def _settings(settings: Mapping[str, Any]) -> str:
 
 def installed(packages: Sequence[str]) -> dict[str, str]:
     """Versions of those of the packages that are installed."""
-    known = {found.metadata["Name"].lower() for found in metadata.distributions()}
-    return {name: metadata.version(name) for name in packages if name in known}
+    found = {}
+    for name in packages:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
 
 
 def _image(path: Path) -> str:

@@ -1,8 +1,9 @@
 """Sheets of shapes: the collection in one texture, each shape's map, morphs, flows, distortion."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -59,7 +60,7 @@ class MapPictures:
 
 def draw_map(map: SphericalMap, view: View, size: int) -> MapPictures:
     """Draw the shape twice and its imprint on the sphere."""
-    scene = Scene(map.mesh, view.fitted(map.surface), size)
+    scene = Scene(map.mesh, view.fitted(map.surface), size, closed=True)
     sigma = isometric_distortion(singular_values(map.surface, map.sphere, map.faces))
     ball = Scene(map.mesh.with_vertices(map.sphere), view.fitted(icosphere(2).vertices), size)
     return MapPictures(
@@ -77,9 +78,14 @@ def draw_maps(
     maps: Mapping[str, SphericalMap], view: View, size: int, jobs: int = 2
 ) -> dict[str, MapPictures]:
     """All maps; numpy leaves the interpreter for most of the work, so threads share it."""
+    drawn = together(lambda map: draw_map(map, view, size), maps.values(), jobs)
+    return dict(zip(maps, drawn, strict=True))
+
+
+def together(draw: Callable[[Any], Any], items: Iterable[Any], jobs: int) -> list[Any]:
+    """Results for all items, in order, drawn by several threads."""
     with ThreadPoolExecutor(max_workers=jobs) as pool:
-        drawn = pool.map(lambda map: draw_map(map, view, size), maps.values())
-        return dict(zip(maps, drawn, strict=True))
+        return list(pool.map(draw, items))
 
 
 def textured_sphere(view: View, size: int) -> UInt8[np.ndarray, "size size 3"]:
@@ -181,7 +187,7 @@ def prediction_tiles(
     """The input, the surface that the generator makes of it, and the input in its final map."""
     count = len(generated)
     ball = icosphere(round(np.log((count - 2) / 10) / np.log(4)))
-    shape = Scene(map.mesh, view.fitted(map.surface), size)
+    shape = Scene(map.mesh, view.fitted(map.surface), size, closed=True)
     made = Scene(Mesh(generated, ball.faces), view.fitted(generated), size)
     clay = np.broadcast_to(CLAY, map.surface.shape)
     return [

@@ -44,22 +44,23 @@ def sphere_texture(
 
     `line_width` is the width of a border in radians; pentagons are drawn lighter.
     """
-    centres, tree = _cells(level)
+    centres, colours, tree = _cells(level)
     _, nearest = tree.query(p, k=2)
-    first, second = centres[nearest[:, 0]], centres[nearest[:, 1]]
-    difference = first - second
-    to_border = np.einsum("kj,kj->k", p, difference) / np.linalg.norm(difference, axis=1)
-    colours = hue_field(first)
-    pentagon = nearest[:, 0] < 12
-    colours[pentagon] = 0.35 * colours[pentagon] + 0.65
-    colours[to_border < line_width / 2] = LINE_COLOUR
-    return colours
+    first = centres[nearest[:, 0]]
+    difference = first - centres[nearest[:, 1]]
+    to_border = np.einsum("kj,kj->k", p, difference)
+    length = np.sqrt(np.einsum("kj,kj->k", difference, difference))
+    border = to_border < line_width / 2 * length
+    return np.where(border[:, None], LINE_COLOUR, colours[nearest[:, 0]])
 
 
 @lru_cache(maxsize=4)
-def _cells(level: int) -> tuple[np.ndarray, cKDTree]:
+def _cells(level: int) -> tuple[np.ndarray, np.ndarray, cKDTree]:
     centres = icosphere(level).vertices
-    return centres, cKDTree(centres)
+    colours = hue_field(centres)
+    # The twelve vertices of the icosahedron come first.
+    colours[:12] = 0.35 * colours[:12] + 0.65
+    return centres, colours, cKDTree(centres)
 
 
 def cube_map(size: int) -> UInt8[np.ndarray, "height size 3"]:

@@ -145,12 +145,21 @@
     });
   }
 
+  function times(m, n) {
+    return m.map((row) => [0, 1, 2].map((j) => row.reduce((sum, v, k) => sum + v * n[k][j], 0)));
+  }
+
+  // Rodrigues' formula: a turn by an angle about a unit axis.
+  function about([x, y, z], angle) {
+    const c = Math.cos(angle), s = Math.sin(angle), d = 1 - c;
+    return [[c + x * x * d, x * y * d - z * s, x * z * d + y * s],
+      [y * x * d + z * s, c + y * y * d, y * z * d - x * s],
+      [z * x * d - y * s, z * y * d + x * s, c + z * z * d]];
+  }
+
+  // A turntable: across about the shapes' own up axis, upward about the screen's horizontal.
   function rotate(across, upward) {
-    const [a, b] = [[Math.cos(across), Math.sin(across)], [Math.cos(upward), Math.sin(upward)]];
-    const yaw = [[a[0], 0, a[1]], [0, 1, 0], [-a[1], 0, a[0]]];
-    const pitch = [[1, 0, 0], [0, b[0], -b[1]], [0, b[1], b[0]]];
-    const times = (m, n) => m.map((row) => [0, 1, 2].map((j) => row.reduce((s, v, k) => s + v * n[k][j], 0)));
-    state.turn = times(times(pitch, yaw), state.turn);
+    state.turn = times(times(about([1, 0, 0], upward), state.turn), about(data.up, across));
     draw();
   }
 
@@ -186,10 +195,11 @@
     window.onresize = draw;
   }
 
-  if (!data.shapes.length) return;
-  const picture = document.getElementById("texture");
-  picture.decode().then(start).catch((error) => {
-    document.getElementById("viewer-note").textContent =
-      `Shapes that turn need WebGL 2, which this browser does not offer (${error.message}). The pictures below show the same maps.`;
+  window.addEventListener("load", () => {
+    if (!data.shapes.length) return;
+    try { start(); } catch (error) {
+      document.getElementById("viewer-note").textContent =
+        `Shapes that turn need WebGL 2, which this browser does not offer (${error.message}). The pictures show the same maps.`;
+    }
   });
 })();
