@@ -40,7 +40,7 @@ def encoder_penalty(*values: Float[Tensor, "..."]) -> Float[Tensor, ""]:
 
 
 def origin_penalty(code: Float[Tensor, " d"]) -> Float[Tensor, ""]:
-    """Paper §3.2, after Eq. 9: squared norm of the sphere's code."""
+    """Paper §4.2, after Eq. 9: squared norm of the sphere's code."""
     return code.square().sum()
 
 
@@ -78,7 +78,7 @@ def correspondence_loss(
 ) -> Float[Tensor, ""]:
     """Eq. 10: mean squared distance to the corresponding points, where they are valid.
 
-    Faulty correspondences are left out (paper appendix B.5); they may even be NaN.
+    Faulty correspondences are left out (paper appendix B.4); they may even be NaN.
     """
     deviation = torch.where(valid[..., None], generated - targets, 0.0)
     return deviation.square().sum() / valid.sum().clamp(min=1)

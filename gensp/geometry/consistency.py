@@ -1,4 +1,4 @@
-"""How well spherical maps of several shapes agree (paper §4.1).
+"""How well spherical maps of several shapes agree (paper §5.1).
 
 Everything follows from one vector: the distance on S_j between where two maps say a point of S_i
 lies, m_j⁻¹(R m_i(x)), and where the ground truth m_ij(x) has it, with R the identity or the best
@@ -130,7 +130,7 @@ class HausdorffIndex:
 
 
 def nearest_neighbours(distances: Float[np.ndarray, "n n"], count: int) -> Bool[np.ndarray, "n n"]:
-    """Edges of the graph that joins every shape to its `count` nearest others (paper §4.1)."""
+    """Edges of the graph that joins every shape to its `count` nearest others (paper §5.1)."""
     joined = np.zeros(distances.shape, dtype=bool)
     apart = distances + np.diag(np.full(len(distances), np.inf))
     count = min(count, len(distances) - 1)

@@ -1,4 +1,4 @@
-"""Correspondences from the sphere to every shape, along a tree of shapes (paper §3.3, App. B.4).
+"""Correspondences from the sphere to every shape, along a tree of shapes (paper §4.3, App. B.3).
 
 The icosphere is carried outward, from the root to the leaves: on every node its vertices are
 points of the node's own mesh, and a registered edge takes them to the child by their barycentric
@@ -123,7 +123,7 @@ class Correspondence:
     points
         The same as positions (N, 3).
     valid
-        Vertices (N,) without a folded or collapsed triangle around them (App. B.5).
+        Vertices (N,) without a folded or collapsed triangle around them (App. B.4).
     fold_rate
         Share of the icosphere's triangles that are folded or collapsed.
     """
@@ -144,7 +144,7 @@ def carry(
 
     `registered` are the parent's vertices bent onto the child and `faces` the parent's faces.
     The barycentric coordinates name positions on the bent parent, and the closest points of
-    those are points of the child: the stitching of App. B.4.
+    those are points of the child: the stitching of App. B.3.
     """
     bent = Mesh(registered, faces)
     return closest_agreeing(

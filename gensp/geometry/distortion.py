@@ -1,4 +1,4 @@
-"""Distortion of spherical maps (paper §4.1).
+"""Distortion of spherical maps (paper §5.1).
 
 Both triangulations are scaled to total area 4π; spherical triangles are chordal.
 """

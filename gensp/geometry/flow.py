@@ -1,4 +1,4 @@
-"""Conformalised mean curvature flow to the sphere, and the score of a flow (paper §3.1, Eq. 1).
+"""Conformalised mean curvature flow to the sphere, and the score of a flow (paper §4.1, Eq. 1).
 
 Source of the flow: Kazhdan, Solomon and Ben-Chen 2012, "Can mean-curvature flow be modified to be
 non-singular?": the stiffness stays that of the input, the mass follows the moving shape.
@@ -252,7 +252,7 @@ def sphere_distance(mesh: Mesh) -> float:
 
 
 def accepted(scores: Float[np.ndarray, " k"], factor: float = 2.0) -> Bool[np.ndarray, " k"]:
-    """The rule s < 2δ, δ the median of the scores (paper §3.1); infinite scores never pass."""
+    """The rule s < 2δ, δ the median of the scores (paper §4.1); infinite scores never pass."""
     finite = np.isfinite(scores)
     if not finite.any():
         return finite

@@ -1,4 +1,4 @@
-"""Non-rigid registration with an as-rigid-as-possible prior (paper App. B.3).
+"""Non-rigid registration with an as-rigid-as-possible prior (paper App. B.2).
 
 A source mesh is bent onto a target by alternating closest points, local rotations and one sparse
 solve, from stiff to soft. The rest shape is the source for the whole edge, interpolants included:

@@ -71,7 +71,7 @@ def sample_sphere(count: int, generator: np.random.Generator) -> Float[np.ndarra
 def tangent_frame(p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 2"]:
     """Two orthonormal tangents at every sphere point, by Gram–Schmidt against the radius.
 
-    The frame is right-handed: its cross product is the outward radius. Source: paper §3.4.
+    The frame is right-handed: its cross product is the outward radius. Source: paper §4.4.
     """
     axis = np.where(np.abs(p[:, :1]) < 0.8, np.array([[1.0, 0, 0]]), np.array([[0, 1.0, 0]]))
     first = unit(axis - np.sum(axis * p, axis=1, keepdims=True) * p)

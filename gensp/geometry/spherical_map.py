@@ -76,7 +76,7 @@ class SphericalMap:
         return map_degree(self.sphere, self.faces)
 
     def distortion(self) -> Distortion:
-        """Isometric and conformal distortion (paper §4.1)."""
+        """Isometric and conformal distortion (paper §5.1)."""
         return distortion(self.surface, self.sphere, self.faces)
 
     def icosphere_remesh(self, level: int) -> Mesh:

@@ -1,4 +1,4 @@
-"""GenSP on one mesh: encode, generate, fit, invert, refine (paper §3, appendix C)."""
+"""GenSP on one mesh: encode, generate, fit, invert, refine (paper §4, appendix C)."""
 
 import time
 from collections.abc import Callable

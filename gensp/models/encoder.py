@@ -1,6 +1,6 @@
 """Point cloud encoder e^γ: PointNet++ with the neighbourhood search kept apart.
 
-Source: paper appendix B.6; Qi et al., PointNet++, NeurIPS 2017.
+Source: paper appendix B.5; Qi et al., PointNet++, NeurIPS 2017.
 """
 
 from collections.abc import Sequence

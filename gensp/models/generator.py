@@ -1,4 +1,4 @@
-"""Shape generators g^θ: the sphere deformed to the shape of a code (paper §3.3–3.4)."""
+"""Shape generators g^θ: the sphere deformed to the shape of a code (paper §4.3–4.4)."""
 
 from collections.abc import Callable
 from typing import Any
@@ -171,7 +171,7 @@ def jacobian(
     z: Float[Tensor, "b d"],
     p: Float[Tensor, "b n 3"],
 ) -> Float[Tensor, "b n 3 2"]:
-    """J_p = ∂g/∂p in the tangent frame of every sphere point (paper §3.4), by forward mode."""
+    """J_p = ∂g/∂p in the tangent frame of every sphere point (paper §4.4), by forward mode."""
     frame = tangent_frame(p)
 
     def push(tangent: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Implicit shape generator f^φ: a signed distance for every code and point (paper §3.2)."""
+"""Implicit shape generator f^φ: a signed distance for every code and point (paper §4.2)."""
 
 from dataclasses import dataclass
 from typing import Any

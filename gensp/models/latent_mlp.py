@@ -1,6 +1,6 @@
 """The trunk shared by the implicit field and the generators.
 
-Source: paper appendix B.6; Park et al., DeepSDF, CVPR 2019.
+Source: paper appendix B.5; Park et al., DeepSDF, CVPR 2019.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Stage I (paper §3.1): shapes between the inputs and the sphere, by mean curvature flow."""
+"""Stage I (paper §4.1): shapes between the inputs and the sphere, by mean curvature flow."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

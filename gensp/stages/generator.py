@@ -1,4 +1,4 @@
-"""Stages III-b and IV: the shape generator, from correspondences to surfaces (paper §3.3–3.4)."""
+"""Stages III-b and IV: the shape generator, from correspondences to surfaces (paper §4.3–4.4)."""
 
 from collections.abc import Mapping
 from pathlib import Path

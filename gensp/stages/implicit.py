@@ -1,4 +1,4 @@
-"""Stage II: the encoder and the implicit shape generator (paper §3.2)."""
+"""Stage II: the encoder and the implicit shape generator (paper §4.2)."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +19,7 @@ from gensp.stages.latents import CloudCodes, CodeTable, draws, save_codes
 
 @dataclass(frozen=True)
 class LevelSetSampling:
-    """How the geometric regulariser samples level sets (paper §3.2).
+    """How the geometric regulariser samples level sets (paper §4.2).
 
     Attributes
     ----------

@@ -85,7 +85,7 @@ class AugmentTask:
         }
 
     def _best_flow(self, rest: Mesh) -> tuple[Flow, StepSchedule, float]:
-        """The candidate with the smallest score m* (paper §3.1)."""
+        """The candidate with the smallest score m* (paper §4.1)."""
         found = []
         for step in self.candidates:
             flow = cmcf(rest, step=step, max_steps=self.max_steps, tolerance=self.tolerance)

@@ -1,4 +1,4 @@
-"""Pairs of spherical maps: implied correspondences against ground truth (paper §4.1)."""
+"""Pairs of spherical maps: implied correspondences against ground truth (paper §5.1)."""
 
 from collections.abc import Mapping
 from dataclasses import replace
