@@ -7,7 +7,6 @@ coordinates. Pulled the other way, shapes arrive on the sphere with many folds (
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import scipy.sparse.csgraph as graph
@@ -21,11 +20,10 @@ from gensp.geometry.mesh import Mesh
 from gensp.geometry.points import SurfacePoints
 from gensp.geometry.registration import folded
 
-TreeKind = Literal["minimum", "shortest", "star"]
 _NO_PARENT = -1
 _CANDIDATES = 64
 _NOT_MUCH_FARTHER = 3.0
-_COLLAPSED = 1e-9
+_COLLAPSED = 1e-4
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,7 @@ class Tree:
         return depth
 
 
-def spanning_tree(codes: Float[np.ndarray, "k d"], root: int, kind: TreeKind = "minimum") -> Tree:
+def spanning_tree(codes: Float[np.ndarray, "k d"], root: int, kind: str = "minimum") -> Tree:
     """Spanning tree of the complete graph of latent distances, rooted at the sphere.
 
     `minimum` is the paper's minimum spanning tree; `shortest` the tree of shortest paths for

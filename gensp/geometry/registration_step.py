@@ -14,7 +14,7 @@ from gensp.geometry.linear import SPDSolver
 from gensp.geometry.mesh import SPHERE_AREA, Mesh
 from gensp.geometry.points import SurfacePoints
 
-Schedule = Sequence[Sequence[float]]
+Schedule = Sequence[Sequence[float | int]]
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,8 @@ class RegistrationSettings:
     normal_agreement
         Closest points whose normals have a smaller dot product do not pull.
     outlier_scale, outlier_floor
-        A pull over distance d weighs 1/(1 + (d/ℓ)²) with ℓ = scale · median(d) + floor.
+        A pull over distance d weighs 1/(1 + (d/ℓ)²) with ℓ = scale · median(d) + floor. Closed
+        shapes hold no outliers: a small floor only gives up growing limbs.
     two_sided
         The target's vertices pull their nearest source points too, so that limbs are reached.
     relaxation, relaxation_until
@@ -57,7 +58,7 @@ class RegistrationSettings:
     interpolants: int = 0
     normal_agreement: float = 0.4
     outlier_scale: float = 3.0
-    outlier_floor: float = 0.02
+    outlier_floor: float = 0.2
     two_sided: bool = True
     relaxation: float = 1.7
     relaxation_until: float = 1.0

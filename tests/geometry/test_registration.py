@@ -115,7 +115,7 @@ def test_the_rest_shape_is_the_source_for_the_whole_edge(dumbbell: Mesh) -> None
         np.linalg.norm(result.vertices - dumbbell.vertices, axis=1).mean()
         for result in (kept, reset)
     ]
-    assert error[0] < 0.5 * error[1]
+    assert error[0] < 0.7 * error[1]
 
 
 def test_moving_or_scaling_both_moves_or_scales_the_result(bumpy: Mesh, ellipsoid: Mesh) -> None:
