@@ -42,8 +42,19 @@ COLUMNS = (
     Column("coverage_max", "max coverage", "shape to its icosphere remesh over √area, max", 4),
     Column("seconds", "seconds", "run time for one shape, mean", 2),
 )
-TERMINAL = ("shapes", "sigma_mean", "sigma_max", "conformal_mean", "c", "error", "error_rotated")
-TERMINAL += ("bad_faces_percent", "affected_shapes", "coverage_mean", "seconds")
+TERMINAL = (
+    "shapes",
+    "sigma_mean",
+    "sigma_max",
+    "conformal_mean",
+    "c",
+    "error",
+    "error_rotated",
+    "bad_faces_percent",
+    "affected_shapes",
+    "coverage_mean",
+    "seconds",
+)
 
 
 def columns_of(summaries: Iterable[Summary], keys: Sequence[str] | None = None) -> list[Column]:

@@ -18,7 +18,8 @@ from gensp.pictures.curves import error_curves, loss_curves, read_history
 from gensp.pictures.draw import tree_edges
 from gensp.pictures.latent import principal_plane
 from gensp.pictures.montage import Tile, grid
-from gensp.pictures.render import Scene, look, rasterize
+from gensp.pictures.rasterize import rasterize
+from gensp.pictures.render import Scene, look
 from gensp.pictures.sheets import (
     distortion_colours,
     flow_tiles,
@@ -110,7 +111,7 @@ def test_interpolation_is_affine(rng):
 def test_portions_do_not_change_the_picture(bumpy, monkeypatch):
     view = look().fitted(bumpy.vertices)
     whole = Scene(bumpy, view, 60).textured(unit(bumpy.vertices))
-    monkeypatch.setattr("gensp.pictures.render.CANDIDATES", 500)
+    monkeypatch.setattr("gensp.pictures.rasterize.CANDIDATES", 500)
     np.testing.assert_array_equal(Scene(bumpy, view, 60).textured(unit(bumpy.vertices)), whole)
 
 

@@ -63,8 +63,9 @@ def _losses(panel: "Axes", history: History) -> None:
             continue
         style = "-" if name.startswith("train/") else "--"
         label = name.removeprefix("train/").replace("_", " ")
-        positive = np.where(drawn > 0, drawn, np.nan)
-        panel.plot(epochs, positive, style, label=label, linewidth=1.5)
+        # A logarithmic axis has no place for zeros; validation may skip epochs.
+        shown = drawn > 0
+        panel.plot(np.array(epochs)[shown], drawn[shown], style, label=label, linewidth=1.5)
     panel.set_yscale("log")
     panel.set_xlabel("epoch")
     _plain(panel)

@@ -1,75 +1,26 @@
 """All pictures of one evaluation and its page, from the folders that the stages left."""
 
-import csv
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
-from gensp.errors import GenSPError, MissingStage
+from gensp.errors import MissingStage
 from gensp.files import load_npz, read_json
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.spherical_map import SphericalMap, load_map
 from gensp.pictures import sheets
 from gensp.pictures.curves import error_curves, loss_curves, read_history, save_figure
 from gensp.pictures.latent import latent_map
+from gensp.pictures.material import Material, NotDrawn, PictureOptions
 from gensp.pictures.montage import Tile, save_png
-from gensp.pictures.render import View, look, up_axis
+from gensp.pictures.render import up_axis
 from gensp.pictures.report import Page, write_report
 
 TRAINED = ("implicit", "initialize", "finetune")
-
-
-class NotDrawn(GenSPError):
-    """A picture whose material is not there; the message is the reason."""
-
-
-@dataclass(frozen=True)
-class PictureOptions:
-    """How much is drawn.
-
-    Attributes
-    ----------
-    tile
-        Side in pixels of one picture of a shape.
-    frames
-        Pictures of a morph or flow strip.
-    strips
-        Shapes that are drawn as morphs, flows and predictions.
-    turning, turning_faces
-        Shapes that turn in the page, and how many faces each may have.
-    gallery
-        Shapes shown one by one in the page; the folder has all of them.
-    up, azimuth, elevation
-        The view: up axis (x, y, z, or with a minus sign) and degrees.
-    jobs
-        Threads that draw.
-    """
-
-    tile: int = 360
-    frames: int = 7
-    strips: int = 3
-    turning: int = 12
-    turning_faces: int = 20_000
-    gallery: int = 40
-    up: str = "y"
-    azimuth: float = 30.0
-    elevation: float = 15.0
-    jobs: int = 2
-
-    def chosen(self, splits: Mapping[str, str], count: int | None = None) -> list[str]:
-        """A few shapes that stand for all: unseen ones first, evenly through the collection."""
-        rank = {"test": 0, "val": 1, "train": 2}
-        ordered = sorted(splits, key=lambda name: rank.get(splits[name], 3))
-        first = [name for name in ordered if splits[name] == splits[ordered[0]]]
-        wanted = self.strips if count is None else count
-        pool = first if len(first) >= wanted else ordered
-        places = np.linspace(0, len(pool) - 1, min(wanted, len(pool))).round().astype(int)
-        return [pool[place] for place in places]
 
 
 @dataclass(frozen=True)
@@ -79,79 +30,6 @@ class Drawn:
     pictures: dict[str, list[Path]]
     report: Path
     not_drawn: dict[str, str]
-
-
-@dataclass(frozen=True)
-class Material:
-    """What the stages left to be drawn."""
-
-    folder: Path
-    runs: Mapping[str, Path]
-    splits: Mapping[str, str]
-    title: str
-    summary: Mapping[str, Any] | None
-    morphs: Mapping[str, Sequence[Mesh]]
-    options: PictureOptions
-    maps: Mapping[str, SphericalMap] = field(default_factory=dict)
-
-    @property
-    def pictures(self) -> Path:
-        """Where the pictures go."""
-        return self.folder / "pictures"
-
-    @cached_property
-    def view(self) -> View:
-        """The direction from which all shapes are seen."""
-        return look(self.options.up, self.options.azimuth, self.options.elevation)
-
-    @cached_property
-    def drawn_maps(self) -> dict[str, sheets.MapPictures]:
-        """Every map, drawn once for all sheets."""
-        return sheets.draw_maps(self.maps, self.view, self.options.tile, self.options.jobs)
-
-    @cached_property
-    def sphere(self) -> np.ndarray:
-        """The textured sphere."""
-        return sheets.textured_sphere(self.view, self.options.tile)
-
-    @cached_property
-    def notes(self) -> dict[str, str]:
-        """A line of figures for every shape, from shapes.csv."""
-        table = self.folder / "shapes.csv"
-        if not table.is_file():
-            return {}
-        with open(table, encoding="utf-8", newline="") as file:
-            return {row["id"]: _note(row) for row in csv.DictReader(file)}
-
-    def tile(self, name: str, image: np.ndarray) -> Tile:
-        """A picture of a shape with its name, figures and split."""
-        return Tile(image, name, self.notes.get(name, " "), self.splits.get(name, ""))
-
-    def artefact(self, stage: str, name: str) -> Path:
-        """A file or folder of another stage.
-
-        Raises
-        ------
-        NotDrawn
-            The stage was not part of this run, or left no such file.
-        """
-        if stage not in self.runs:
-            raise NotDrawn(f"this run has no stage {stage}")
-        path = self.runs[stage] / name
-        if not path.exists():
-            raise NotDrawn(f"stage {stage} left no {name}")
-        return path
-
-
-def _note(row: Mapping[str, str]) -> str:
-    words = [
-        f"{word} {float(row[key]):{form}}"
-        for key, word, form in (("sigma_mean", "σ", ".2f"), ("sigma_max", "max", ".4g"))
-        if row.get(key)
-    ]
-    if row.get("bad_faces") and float(row["bad_faces"]) > 0:
-        words.append(f"{float(row['bad_faces']):.0f} bad faces")
-    return " · ".join(words) or " "
 
 
 def contact_sheet(material: Material) -> list[Path]:

@@ -85,5 +85,6 @@ def _points(panel: "Axes", place: Mapping[str, np.ndarray], splits: Mapping[str,
             colour = np.array(SPLIT_COLOURS.get(name, (178, 190, 214))) / 255
             size = 14 if name == "augmented" else 46
             points = np.array([place[i] for i in members])
-            panel.scatter(*points.T, s=size, color=colour, label=name, zorder=2, linewidths=0)
+            x, y = points.T
+            panel.scatter(x, y, s=size, color=colour, label=name, zorder=2, linewidths=0)
     panel.scatter(0, 0, s=170, marker="*", color="#1f8a52", label="sphere", zorder=3)

@@ -107,17 +107,15 @@ def _section(heading: str, note: str, body: str) -> str:
 
 def _figures(summary: Mapping[str, Any]) -> Iterator[str]:
     columns = columns_of([summary])
-    headline = next(
-        ((name, summary["groups"][name]) for name in ("test", "all") if name in summary["groups"]),
-        next(iter(summary["groups"].items()), ("", {})),
-    )
-    cards = [_card(column, headline[1]) for column in columns if column.key in CARDS]
-    heading = f"Figures of the {headline[0]} shapes"
-    yield _section(heading, "", f'<div class="cards">{"".join(cards)}</div>')
+    groups = summary["groups"]
+    split = next((name for name in ("test", "all", *groups) if name in groups), "")
+    cards = [_card(column, groups[split]) for column in columns if column.key in CARDS]
+    body = f'<div class="cards">{"".join(cards)}</div>'
+    yield _section(f"Figures of the {split} shapes", "", body)
     head = ["split", *(column.heading for column in columns)]
     rows = [
         [split, *(cell(group.get(column.key), column.digits) for column in columns)]
-        for split, group in summary["groups"].items()
+        for split, group in groups.items()
     ]
     legend = _table(["column", ""], [[c.heading, c.meaning] for c in columns], text=True)
     table = f'<div class="wide">{_table(head, rows)}</div>'

@@ -99,7 +99,9 @@ def columns_for(count: int) -> int:
     return max(1, min(count, round(np.sqrt(1.5 * count))))
 
 
-def contact_sheet(tiles: Sequence[Tile], sphere: UInt8[np.ndarray, "s s 3"], title: str) -> Image:
+def contact_sheet(
+    tiles: Sequence[Tile], sphere: UInt8[np.ndarray, "s s 3"], title: str
+) -> Image.Image:
     """The teaser: the textured sphere, then every shape wearing the same texture."""
     first = Tile(sphere, "the sphere", " ")
     note = "one texture through every map; dots: blue training, amber validation, red test"
