@@ -7,8 +7,10 @@ from typing import Any
 
 import igl
 import numpy as np
+import scipy.sparse as sp
 import trimesh
 from jaxtyping import Float, Int
+from scipy.sparse.csgraph import connected_components
 
 from gensp.errors import DegenerateMesh, NotGenusZero, UnreadableMesh
 from gensp.files import atomic_path
@@ -183,8 +185,11 @@ def _require_closed_manifold(mesh: Mesh) -> None:
             f"{mesh.name}: {len(mesh.vertices) - used} vertices belong to no face; none is "
             "allowed; remove them, or set shapes.on_bad=skip"
         )
-    directed = mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    undirected, count = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)
+    start, end = mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).T
+    # One number per edge: rows sort ten times slower.
+    directed = start * len(mesh.vertices) + end
+    backward = end * len(mesh.vertices) + start
+    undirected, count = np.unique(np.minimum(directed, backward), return_counts=True)
     faults = (
         (count > 2, "edges with more than two faces (non-manifold)", "split or remesh it"),
         (count == 1, "boundary edges (open surface)", "close the holes"),
@@ -195,16 +200,30 @@ def _require_closed_manifold(mesh: Mesh) -> None:
                 f"{mesh.name}: {int(fault.sum())} {found}; a closed manifold is required; "
                 f"{remedy}, or set shapes.on_bad=skip"
             )
-    if len(np.unique(directed, axis=0)) != 2 * len(undirected):
+    if len(np.unique(directed)) != 2 * len(undirected):
         raise NotGenusZero(
             f"{mesh.name}: neighbouring faces disagree in orientation; one consistent outward "
             "orientation is required; reorient the faces, or set shapes.on_bad=skip"
         )
-    if not np.asarray(igl.is_vertex_manifold(mesh.faces)).all():
+    if _fans(directed, backward) != len(mesh.vertices):
         raise NotGenusZero(
             f"{mesh.name}: a vertex joins several sheets (non-manifold); a closed manifold is "
             "required; split the vertex, or set shapes.on_bad=skip"
         )
+
+
+def _fans(directed: Int[np.ndarray, " h"], backward: Int[np.ndarray, " h"]) -> int:
+    """Number of closed fans of faces around vertices, of a closed oriented mesh.
+
+    Half-edges come as three in a row for every face. Turning about its start, a half-edge is
+    followed by the twin of the one before it in its face; every orbit is a fan.
+    """
+    order = np.argsort(directed)
+    twin = order[np.searchsorted(directed, backward, sorter=order)]
+    count = len(directed)
+    follower = twin.reshape(-1, 3)[:, [2, 0, 1]].reshape(-1)
+    turns = sp.csr_array((np.ones(count, bool), follower, np.arange(count + 1)))
+    return int(connected_components(turns, return_labels=False))
 
 
 def _signed_volume(mesh: Mesh) -> float:
