@@ -16,7 +16,7 @@ from commands import smoke as smoke
 from commands import smoke_copy as smoke_copy
 
 from gensp.geometry.mesh import Mesh
-from gensp.geometry.sphere import icosphere
+from gensp.geometry.sphere import icosphere, unit
 
 torch.set_num_threads(1)
 
@@ -49,3 +49,13 @@ def dumbbell() -> Mesh:
     x, y, z = ball.vertices.T
     waist = 0.25 + 0.75 * x**2
     return Mesh(np.stack([2 * x, waist * y, waist * z], axis=1), ball.faces, "dumbbell")
+
+
+@pytest.fixture
+def limbed() -> Mesh:
+    """A ball with two long thin legs: their triangles vanish on the way to the sphere."""
+    ball = icosphere(4)
+    feet = unit(np.array([[0.4, 0.0, -1.0], [-0.4, 0.1, -1.0]]))
+    squared = np.sum((ball.vertices[:, None] - feet) ** 2, axis=2)
+    length = 2.5 * np.exp(-squared / 0.01).sum(axis=1)
+    return Mesh(ball.vertices - length[:, None] * np.array([0.0, 0.0, 1.0]), ball.faces, "limbed")

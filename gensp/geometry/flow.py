@@ -15,7 +15,7 @@ from gensp.errors import DegenerateMesh
 from gensp.geometry.arap import ArapSystem
 from gensp.geometry.linear import SPDSolver
 from gensp.geometry.mesh import Mesh, normalize
-from gensp.geometry.operators import cotangent_laplacian, lumped_mass
+from gensp.geometry.operators import cotangent_laplacian, delaunay_laplacian, lumped_mass
 from gensp.geometry.sphere import icosphere
 
 # A triangle below this share of its first area (both shapes at 4π) no longer carries a shape.
@@ -132,11 +132,13 @@ def cmcf(
     Raises
     ------
     DegenerateMesh
-        Not even the first step can be computed.
+        The input has no area, or not even the first step can be computed.
     """
     step = step or StepSchedule()
+    _require_area(mesh)
     mesh = normalize(mesh)
-    track, stiffness, solver = _Track(mesh), _stiffness(mesh, intrinsic), None
+    stiffness = delaunay_laplacian(mesh) if intrinsic else cotangent_laplacian(mesh)
+    track, solver = _Track(mesh), None
     reason = "steps"
     for k in range(max_steps):
         before = track.shapes[-1].vertices
@@ -170,8 +172,8 @@ class _Track:
         self.shapes.append(shape)
         self.moved.append(displacement)
         self.errors.append(_sphere_error(shape))
-        share = shape.face_areas / self.shapes[0].face_areas
-        self.sound.append(bool((share > SMALLEST_SHARE).all()))
+        smallest = SMALLEST_SHARE * self.shapes[0].face_areas
+        self.sound.append(bool((shape.face_areas > smallest).all()))
 
     def stalled(self) -> bool:
         since_best = len(self.errors) - 1 - int(np.argmin(self.errors))
@@ -193,10 +195,13 @@ class _Track:
         )
 
 
-def _stiffness(mesh: Mesh, intrinsic: bool) -> sp.csc_matrix:
-    if not intrinsic:
-        return cotangent_laplacian(mesh)
-    return sp.csc_matrix(-igl.intrinsic_delaunay_cotmatrix(mesh.vertices, mesh.faces)[0])
+def _require_area(mesh: Mesh) -> None:
+    # Comparisons with what is not a number are false.
+    if not (np.isfinite(mesh.vertices).all() and mesh.area > 0):
+        raise DegenerateMesh(
+            f"{mesh.name}: positions are not finite, or the area is zero; a surface is required "
+            "to flow; replace the mesh"
+        )
 
 
 def _factored(solver: SPDSolver | None, matrix: sp.csc_matrix, mesh: Mesh) -> SPDSolver:

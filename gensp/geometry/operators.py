@@ -9,11 +9,30 @@ from gensp.geometry.mesh import Mesh
 
 # Relative to the median edge weight: keeps clamped Laplacians connected and definite.
 _SMALLEST_WEIGHT = 1e-3
+# Of the mean edge length.
+_LENGTH_MARGIN = 1e-5
 
 
 def cotangent_laplacian(mesh: Mesh) -> sp.csc_matrix:
     """Positive semidefinite cotangent stiffness matrix (n, n); constants are its kernel."""
     return sp.csc_matrix(-igl.cotmatrix(mesh.vertices, mesh.faces))
+
+
+def delaunay_laplacian(mesh: Mesh) -> sp.csc_matrix:
+    """Cotangent stiffness of the intrinsic Delaunay triangulation: no weight is negative.
+
+    Edge lengths are first made to satisfy the triangle inequality with a margin, as flips need
+    not end on triangles without area.
+
+    Sources: Bobenko and Springborn 2007; margin: Sharp and Crane 2020, "A Laplacian for
+    nonmanifold triangle meshes".
+    """
+    lengths = igl.edge_lengths(mesh.vertices, mesh.faces)
+    margin = _LENGTH_MARGIN * lengths.mean()
+    slack = lengths.sum(axis=1) - 2 * lengths.max(axis=1)
+    lengths = lengths + max(0.0, margin - float(slack.min()))
+    flipped, faces, *_ = igl.intrinsic_delaunay_triangulation(lengths, mesh.faces)
+    return sp.csc_matrix(-igl.cotmatrix_intrinsic(flipped, faces))
 
 
 def clamped_laplacian(mesh: Mesh) -> sp.csc_matrix:

@@ -78,7 +78,12 @@ def remesh_geometry(mesh: Mesh, *, vertices: int) -> Mesh:
     for finer, level in _ATTEMPTS:
         try:
             return _extract(tree, mesh.name, spacing * finer, level * spacing, vertices)
-        except (BadMesh, EmptyLevelSet) as error:
+        except EmptyLevelSet as error:
+            raise DegenerateMesh(
+                f"{mesh.name}: encloses nothing that a grid of {spacing * finer:.3g} can see; a "
+                "solid is required; ask for more vertices"
+            ) from error
+        except BadMesh as error:
             fault = str(error)
     raise DegenerateMesh(f"{mesh.name}: cannot be remeshed as a closed genus-0 surface: {fault}")
 
