@@ -21,7 +21,7 @@ from gensp.errors import GenSPError, MissingData, OutputError, Unsupported
 from gensp.files import write_text
 from gensp.runs import Progress, Run, Runs, begin, clear, restart
 from gensp.stages.callbacks import WholeCheckpoints
-from gensp.stages.session import carry_out, close, conclude, cores, quiet
+from gensp.stages.session import carry_out, close, conclude, quiet, threads
 from gensp.terminal import announce, complain, say
 
 _TRAINER_SCIENCE = (
@@ -192,7 +192,7 @@ def _execute(
     began = time.monotonic()
     quiet()
     seed_everything(cfg.seed, workers=True, verbose=False)
-    torch.set_num_threads(cfg.threads or cores())
+    torch.set_num_threads(cfg.threads or threads())
     data = _made(cfg.data, inputs=inputs, folder=folder)
     module = _made(cfg.stage.module, inputs=inputs, folder=folder)
     # After the inputs have proved good: a mistyped folder leaves no trace.

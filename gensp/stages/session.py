@@ -35,8 +35,10 @@ def quiet() -> None:
         warnings.filterwarnings("ignore", remark)
 
 
-def cores() -> int:
-    """Cores of this process, shared with the other ranks of a torchrun on this machine."""
+def threads() -> int:
+    """OMP_NUM_THREADS, else the cores, shared with other ranks of a torchrun on this machine."""
+    if os.environ.get("OMP_NUM_THREADS", "").isdigit():
+        return int(os.environ["OMP_NUM_THREADS"])
     own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return max(1, (own or 1) // int(os.environ.get("LOCAL_WORLD_SIZE", "1")))
 
