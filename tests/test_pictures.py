@@ -21,6 +21,7 @@ from gensp.pictures.montage import Tile, grid
 from gensp.pictures.rasterize import rasterize
 from gensp.pictures.render import Scene, look
 from gensp.pictures.sheets import (
+    contact_sheet,
     distortion_colours,
     flow_tiles,
     icosphere_level,
@@ -186,6 +187,12 @@ def test_grid_places_every_tile():
         assert (sheet[row * (k // 3) + 10, 50 * (k % 3) + 10] == 40 * k).all()
 
 
+def test_large_collections_fit_a_sheet_of_bounded_width():
+    tiles = [Tile(np.full((300, 300, 3), 90, dtype=np.uint8), str(k)) for k in range(700)]
+    sheet = contact_sheet(tiles, tiles[0].image, "many")
+    assert 3000 < sheet.width <= 4000
+
+
 def test_strips_begin_and_end_where_they_should():
     ball = icosphere(3)
     ellipsoid = ball.vertices * np.array([1.5, 1.0, 0.7])
@@ -255,7 +262,8 @@ SUMMARY = {
 
 
 @pytest.fixture
-def maps(tmp_path, bumpy, ellipsoid) -> dict[str, str]:
+def maps(tmp_path, monkeypatch, bumpy, ellipsoid) -> dict[str, str]:
+    monkeypatch.setattr("gensp.pictures.report.TEXTURE_SIZE", 48)
     for mesh in (bumpy, ellipsoid):
         map = SphericalMap(unit(mesh.vertices), mesh.vertices, mesh.faces, mesh.name)
         save_map(map, tmp_path / "parameterize" / "maps")

@@ -50,7 +50,7 @@ class PictureOptions:
     turning_faces: int = 20_000
     gallery: int = 40
     up: str = "y"
-    azimuth: float = 30.0
+    azimuth: float = 35.0
     elevation: float = 15.0
     jobs: int = 2
 

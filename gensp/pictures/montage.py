@@ -1,7 +1,7 @@
 """Tiles with captions, set side by side into one picture."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -33,6 +33,14 @@ def font(size: int, *, bold: bool = False) -> ImageFont.FreeTypeFont:
     """The font that matplotlib brings along: it has Greek letters, on every machine."""
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
     return ImageFont.truetype(str(Path(get_data_path()) / "fonts" / "ttf" / name), size)
+
+
+def resized(tile: Tile, side: int) -> Tile:
+    """The tile with a picture of another size."""
+    if len(tile.image) == side:
+        return tile
+    picture = Image.fromarray(tile.image).resize((side, side), Image.Resampling.LANCZOS)
+    return replace(tile, image=np.asarray(picture))
 
 
 def grid(tiles: Sequence[Tile], columns: int, *, title: str = "", note: str = "") -> Image.Image:

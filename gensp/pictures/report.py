@@ -154,13 +154,13 @@ def _viewer() -> str:
     return (
         '<section><h2>Shapes that turn</h2><p class="note" id="viewer-note">'
         f'{note}</p>{controls}<div class="panes">{pane}{pane}</div>'
-        f'<img id="texture" alt="" hidden src="{_texture()}"></section>'
+        f'<img id="texture" alt="" hidden src="{_texture(TEXTURE_SIZE)}"></section>'
     )
 
 
 @lru_cache(maxsize=1)
-def _texture() -> str:
-    return _data_uri(Image.fromarray(cube_map(TEXTURE_SIZE)), "PNG")
+def _texture(size: int) -> str:
+    return _data_uri(Image.fromarray(cube_map(size)), "PNG")
 
 
 def _left_out(page: Page) -> Iterator[str]:

@@ -16,12 +16,13 @@ from gensp.geometry.distortion import isometric_distortion, singular_values
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import icosphere, unit
 from gensp.geometry.spherical_map import SphericalMap
-from gensp.pictures.montage import Tile, colour_bar, grid, rows_of
+from gensp.pictures.montage import Tile, colour_bar, grid, resized, rows_of
 from gensp.pictures.render import Scene, View
 
 CLAY = np.array([0.78, 0.76, 0.74])
 FOLDED = np.array([0.05, 0.15, 0.75])
 SIGMA_RANGE = (1.0, 8.0)
+SHEET_WIDTH = 4000
 DISTORTION_COLOURS = "YlOrRd"
 
 
@@ -105,12 +106,19 @@ def contact_sheet(
     """The teaser: the textured sphere, then every shape wearing the same texture."""
     first = Tile(sphere, "the sphere", " ")
     note = "one texture through every map; dots: blue training, amber validation, red test"
-    return grid([first, *tiles], columns_for(len(tiles) + 1), title=title, note=note)
+    return _sheet([first, *tiles], title, note)
+
+
+def _sheet(tiles: Sequence[Tile], title: str, note: str) -> Image.Image:
+    """All tiles in a sheet, made smaller where there are many of them."""
+    columns = columns_for(len(tiles))
+    side = min(len(tiles[0].image), SHEET_WIDTH // columns)
+    return grid([resized(tile, side) for tile in tiles], columns, title=title, note=note)
 
 
 def distortion_sheet(tiles: Sequence[Tile], title: str) -> Image.Image:
     """All shapes painted by σ_t, with the scale."""
-    sheet = grid(tiles, columns_for(len(tiles)), title=title, note="folded faces are blue")
+    sheet = _sheet(tiles, title, "folded faces are blue")
     low, high = np.log(SIGMA_RANGE)
     ticks = [(float((np.log(s) - low) / (high - low)), f"{s}") for s in (1, 2, 4)]
     return colour_bar(sheet, _distortion_map(), [*ticks, (1.0, f"≥ {SIGMA_RANGE[1]:.0f}")], "σ")
