@@ -52,15 +52,15 @@ def checked(
     if record is not None and len(passed) > known:
         write_json(record, sorted(passed))
     bad = [(id, reason) for id, reason in reasons.items() if reason is not None]
+    lines = "\n".join(reason for _, reason in bad)
     if bad and on_bad == "error":
-        lines = "\n".join(reason for _, reason in bad)
         raise BadMesh(
             f"{len(bad)} of {len(shapes)} meshes cannot be used; repair them or leave them out "
             f"with shapes.on_bad=skip:\n{lines}"
         )
     sound = [shape for shape in shapes if reasons[shape.id] is None]
     if not sound:
-        raise MissingData(f"none of {len(shapes)} meshes can be used: {bad[0][1] if bad else ''}")
+        raise MissingData(f"none of {len(shapes)} meshes can be used; one is required:\n{lines}")
     return sound, bad
 
 

@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from gensp.errors import DegenerateMesh, NotGenusZero, UnreadableMesh
 from gensp.files import atomic_path
+from gensp.geometry.wavefront import read_obj
 
 FORMATS = (".ply", ".obj", ".off", ".stl")
 SPHERE_AREA = 4 * np.pi
@@ -82,9 +83,7 @@ def load_mesh(path: Path | str, *, max_faces: int | None = None) -> Mesh:
         found = "is empty" if path.is_file() else "does not exist"
         raise UnreadableMesh(f"{path}: {found}; a triangle mesh is required; remove or replace it")
     try:
-        loaded: Any = trimesh.load(path, process=False, force="mesh", maintain_order=True)
-        vertices = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)
-        faces = np.asarray(loaded.faces, dtype=np.int64).reshape(-1, 3)
+        vertices, faces = read_obj(path) if path.suffix.lower() == ".obj" else _read(path)
     # Readers of damaged files raise whatever their parser met; the file is at fault in each case.
     except Exception as error:
         raise UnreadableMesh(
@@ -96,6 +95,12 @@ def load_mesh(path: Path | str, *, max_faces: int | None = None) -> Mesh:
     if path.suffix.lower() == ".stl":
         vertices, faces = _welded(vertices, faces)
     return Mesh(vertices, faces, path.stem)
+
+
+def _read(path: Path) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "m 3"]]:
+    loaded: Any = trimesh.load(path, process=False, force="mesh", maintain_order=True)
+    vertices = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)
+    return vertices, np.asarray(loaded.faces, dtype=np.int64).reshape(-1, 3)
 
 
 def _welded(

@@ -81,7 +81,7 @@ class EvaluateStage(ItemStage):
             {"id": id, "reason": reason} for id, reason in self.collection.skipped
         ]
         summary["failed"] = self._failed()
-        self._write(rows, pairs, without_nan(summary))
+        self._write(rows, pairs, summary)
         self._draw(without_nan(summary))
         return _metrics(summary["groups"])
 
@@ -101,7 +101,7 @@ class EvaluateStage(ItemStage):
             for pair in pairs
         ]
         write_table(self.folder / "pairs.csv", plain)
-        write_json(self.folder / "summary.json", summary)
+        write_json(self.folder / "summary.json", without_nan(summary))
         write_text(self.folder / "summary.md", summary_markdown(summary))
         write_text(self.folder / "summary.csv", summary_csv(summary))
 

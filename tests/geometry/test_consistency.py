@@ -1,0 +1,127 @@
+"""Consistency measures against maps whose disagreement is known."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gensp.geometry.consistency import (
+    HausdorffIndex,
+    area_uniform_weights,
+    correspondence_error,
+    coverage,
+    nearest_neighbours,
+    pair_rotation,
+    sphere_uniform_weights,
+)
+from gensp.geometry.distance import hausdorff
+from gensp.geometry.mesh import Mesh
+from gensp.geometry.points import SurfacePoints, sample_surface
+from gensp.geometry.sphere import icosphere
+from gensp.geometry.spherical_map import SphericalMap
+
+TURN = Rotation.from_rotvec([0.3, -0.5, 0.2]).as_matrix()
+
+
+@pytest.fixture
+def points(bumpy: Mesh, rng: np.random.Generator) -> SurfacePoints:
+    return sample_surface(bumpy.face_areas, 300, rng)
+
+
+def radial(mesh: Mesh) -> SphericalMap:
+    """The map that sends every vertex of a deformed icosphere to where it came from."""
+    return SphericalMap(icosphere(3).vertices, mesh.vertices, mesh.faces, mesh.name)
+
+
+def test_identical_maps_agree(bumpy: Mesh, points: SurfacePoints) -> None:
+    error = correspondence_error(radial(bumpy), radial(bumpy), points, points)
+    assert error.max() < 1e-12
+
+
+def test_shared_parameterization_is_the_ground_truth(
+    bumpy: Mesh, ellipsoid: Mesh, points: SurfacePoints
+) -> None:
+    # Both maps come from one icosphere, so equal barycentric coordinates correspond.
+    error = correspondence_error(radial(bumpy), radial(ellipsoid), points, points)
+    assert error.max() < 1e-12
+
+
+def test_known_rotation_on_the_sphere_is_the_distance_it_moves_points(
+    rng: np.random.Generator,
+) -> None:
+    ball = icosphere(5)
+    still = SphericalMap(ball.vertices, ball.vertices, ball.faces)
+    at = sample_surface(ball.face_areas, 200, rng)
+    x = at.on(ball.vertices, ball.faces)
+    error = correspondence_error(still.rotated(TURN), still, at, at)
+    expected = np.linalg.norm(x @ TURN.T - x, axis=1) / np.sqrt(ball.area)
+    assert np.allclose(error, expected, atol=2e-4)
+
+
+def test_common_rotation_of_both_maps_changes_nothing(
+    bumpy: Mesh, ellipsoid: Mesh, points: SurfacePoints, rng: np.random.Generator
+) -> None:
+    other = SphericalMap(_shaken(rng), ellipsoid.vertices, ellipsoid.faces)
+    before = correspondence_error(radial(bumpy), other, points, points)
+    after = correspondence_error(radial(bumpy).rotated(TURN), other.rotated(TURN), points, points)
+    assert before.mean() > 1e-3
+    assert np.allclose(before, after, atol=1e-9)
+
+
+def test_best_rotation_undoes_the_rotation_of_one_map(
+    bumpy: Mesh, ellipsoid: Mesh, points: SurfacePoints, rng: np.random.Generator
+) -> None:
+    one, other = radial(bumpy), SphericalMap(_shaken(rng), ellipsoid.vertices, ellipsoid.faces)
+    rotation = pair_rotation(one, other, points, points)
+    before = correspondence_error(one, other, points, points, rotation)
+    turned = one.rotated(TURN)
+    again = pair_rotation(turned, other, points, points)
+    after = correspondence_error(turned, other, points, points, again)
+    raw = correspondence_error(turned, other, points, points)
+    assert np.allclose(before, after, atol=1e-9)
+    assert raw.mean() > 3 * after.mean()
+
+
+def _shaken(rng: np.random.Generator) -> np.ndarray:
+    moved = icosphere(3).vertices + 0.02 * rng.standard_normal(icosphere(3).vertices.shape)
+    return moved / np.linalg.norm(moved, axis=1, keepdims=True)
+
+
+def test_weights_follow_the_area_they_stand_for(rng: np.random.Generator) -> None:
+    ball = icosphere(3)
+    # The northern half is stretched, so it has more area but half of the sphere.
+    tall = ball.vertices * np.where(ball.vertices[:, 2:] > 0, [1, 1, 4], [1, 1, 1])
+    map = SphericalMap(ball.vertices, tall, ball.faces)
+    at = sample_surface(map.mesh.face_areas, 400, rng)
+    north = at.on(tall, ball.faces)[:, 2] > 0
+    share = map.mesh.face_areas[tall[ball.faces].mean(axis=1)[:, 2] > 0].sum() / map.mesh.area
+    by_area = area_uniform_weights(map, at, 20_000, rng)
+    by_sphere = sphere_uniform_weights(map, at, 20_000, rng)
+    assert by_area.sum() == pytest.approx(1)
+    assert by_area[north].sum() == pytest.approx(share, abs=0.03)
+    assert by_sphere[north].sum() == pytest.approx(0.5, abs=0.03)
+
+
+def test_coverage_of_an_offset_sphere_is_the_offset() -> None:
+    ball = icosphere(4)
+    inner = ball.with_vertices(0.9 * ball.vertices)
+    found = coverage(ball, inner)
+    assert found.mean == pytest.approx(0.1 / np.sqrt(ball.area), rel=0.02)
+    assert found.max == pytest.approx(found.mean, rel=0.02)
+    assert coverage(ball, ball).max < 1e-12
+
+
+def test_hausdorff_with_bounds_equals_the_exhaustive_one(
+    bumpy: Mesh, ellipsoid: Mesh, dumbbell: Mesh
+) -> None:
+    for a, b in ((bumpy, ellipsoid), (dumbbell, bumpy), (ellipsoid, ellipsoid)):
+        assert HausdorffIndex(a).distance(HausdorffIndex(b)) == pytest.approx(
+            hausdorff(a, b), abs=1e-12
+        )
+
+
+def test_neighbour_graph_joins_each_shape_to_its_nearest() -> None:
+    place = np.array([0.0, 1.0, 2.5, 10.0])
+    joined = nearest_neighbours(np.abs(place[:, None] - place), 1)
+    edges = {(int(i), int(j)) for i, j in np.argwhere(joined) if i < j}
+    assert edges == {(0, 1), (1, 2), (2, 3)}
+    assert nearest_neighbours(np.abs(place[:, None] - place), 6).sum() == 12
