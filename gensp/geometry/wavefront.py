@@ -4,6 +4,7 @@ General readers split vertices by texture coordinate, normal, group or material,
 surfaces and loses the file's vertex order.
 """
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -27,9 +28,7 @@ def read_obj(path: Path) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "m 3
                 vertices.append(words[1:4])
             elif line.startswith("f") and words[0] == "f":
                 corners = [_place(word, len(vertices)) for word in words[1:]]
-                faces += [
-                    (corners[0], b, c) for b, c in zip(corners[1:], corners[2:], strict=False)
-                ]
+                faces += [(corners[0], b, c) for b, c in pairwise(corners[1:])]
     positions = np.array(vertices, dtype=np.float64).reshape(-1, 3)
     triangles = np.array(faces, dtype=np.int64).reshape(-1, 3)
     if len(triangles) and not 0 <= triangles.min() <= triangles.max() < len(positions):
