@@ -1,0 +1,228 @@
+"""The evaluation of maps whose figures are known."""
+
+import csv
+import json
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lightning import Trainer
+from scipy.spatial.transform import Rotation
+
+from gensp.compute import Workers
+from gensp.data.ground_truth import GroundTruth, save_ground_truth
+from gensp.data.modules import ItemsModule
+from gensp.data.shapes import ShapeCollection
+from gensp.errors import MissingData
+from gensp.files import save_npz, write_json
+from gensp.geometry.mesh import Mesh, normalize, save_mesh
+from gensp.geometry.points import SurfacePoints, sample_surface
+from gensp.geometry.sphere import icosphere
+from gensp.geometry.spherical_map import SphericalMap, save_map
+from gensp.runs import Run
+from gensp.stages.evaluate import EvaluateStage
+from gensp.stages.summary import summarize, without_nan
+from gensp.tasks.evaluate import Evaluate, evaluate_items, evaluate_task
+from gensp.tasks.pairs import EvaluatedMap, pair_records
+
+TURN = Rotation.from_rotvec([0.1, 0.6, -0.3]).as_matrix()
+NAMES = {"experiment": "test", "variant": "full", "method": "gensp"}
+# Two ground-truth shapes to train on, one turned on the sphere to test with, one without.
+SHAPES = ("bumpy", "ellipsoid", "dumbbell", "lonely")
+
+
+@pytest.fixture
+def collection(
+    tmp_path: Path, bumpy: Mesh, ellipsoid: Mesh, dumbbell: Mesh, rng: np.random.Generator
+) -> ShapeCollection:
+    root = tmp_path / "shapes"
+    at = sample_surface(np.ones(len(bumpy.faces)), 400, rng)
+    lines = ["file,category,split,correspondence"]
+    for mesh, split in ((bumpy, "train"), (ellipsoid, "train"), (dumbbell, "test")):
+        save_mesh(mesh, root / f"{mesh.name}.ply")
+        truth = GroundTruth("ball", np.arange(400), at)
+        save_ground_truth(root / "corr" / f"{mesh.name}.npz", truth)
+        lines.append(f"{mesh.name}.ply,ball,{split},corr/{mesh.name}.npz")
+    save_mesh(ellipsoid.with_vertices(2 * ellipsoid.vertices), root / "lonely.ply")
+    save_mesh(Mesh(bumpy.vertices, bumpy.faces[1:]), root / "open.ply")
+    lines += ["lonely.ply,other,test,", "open.ply,other,test,"]
+    (root / "manifest.csv").write_text("\n".join(lines) + "\n")
+    return ShapeCollection.from_folder(root, name="four", on_bad="skip")
+
+
+@pytest.fixture
+def maps(tmp_path: Path, collection: ShapeCollection) -> Run:
+    folder = tmp_path / "parameterize"
+    for id in SHAPES:
+        mesh = collection.mesh(id)
+        sphere = icosphere(3).vertices @ (TURN.T if id == "dumbbell" else np.eye(3))
+        save_map(SphericalMap(sphere, mesh.vertices, mesh.faces, id), folder / "maps")
+        write_json(folder / "rows" / f"{id}.json", {"id": id, "seconds": 2.0})
+    generated = 0.9 * normalize(collection.mesh("bumpy")).vertices
+    save_npz(folder / "predictions" / "bumpy.npz", generated=generated, code=np.zeros(2))
+    write_json(folder / "rows" / "gone.json", {"id": "gone", "error": "gone: not embeddable"})
+    return Run(folder)
+
+
+@pytest.fixture
+def evaluated(tmp_path: Path, collection: ShapeCollection, maps: Run) -> tuple[Path, dict]:
+    folder, inputs = tmp_path / "evaluate", {"parameterize": maps}
+    data = ItemsModule.from_runs(
+        inputs,
+        folder,
+        task=partial(evaluate_task, collection=collection, level=4, samples=2000),
+        items=partial(evaluate_items, collection=collection),
+        workers=Workers(jobs=1, backend="sequential"),
+    )
+    stage = EvaluateStage.from_runs(inputs, folder, collection=collection, names=NAMES)
+    trainer = Trainer(
+        logger=False, enable_checkpointing=False, accelerator="cpu", enable_progress_bar=False
+    )
+    trainer.predict(stage, datamodule=data, return_predictions=False)
+    return folder, stage.finish()
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_maps_that_agree_have_no_error_and_turned_ones_none_after_rotation(
+    evaluated: tuple[Path, dict],
+) -> None:
+    pairs = {(row["first"], row["second"]): row for row in table(evaluated[0] / "pairs.csv")}
+    assert {frozenset(pair) for pair in pairs} == {
+        frozenset(pair)
+        for pair in (("bumpy", "ellipsoid"), ("bumpy", "dumbbell"), ("ellipsoid", "dumbbell"))
+    }
+    for pair, row in pairs.items():
+        turned = "dumbbell" in pair
+        assert row["group"] == ("mixed" if turned else "train")
+        assert row["points"] == "400"
+        assert float(row["error_rotated"]) < 1e-9
+        assert float(row["c_area_rotated"]) < 1e-7
+        assert (float(row["error"]) > 0.05) == turned
+        assert (float(row["c"]) > 0.05) == turned
+
+
+def test_rows_hold_what_is_known_of_each_map(
+    evaluated: tuple[Path, dict], collection: ShapeCollection
+) -> None:
+    rows = {row["id"]: row for row in table(evaluated[0] / "shapes.csv")}
+    assert list(rows) == list(SHAPES)
+    for id, row in rows.items():
+        assert float(row["sigma_mean"]) >= 1
+        assert float(row["sigma_max"]) >= float(row["sigma_mean"])
+        assert row["bad_faces"] == "0"
+        assert row["degree"] == "1"
+        assert float(row["seconds"]) == 2
+        # The remesh is finer than the mesh, so it leaves out corners only.
+        assert float(row["coverage_mean"]) < 0.01
+        assert (row["error"] == "") == (id == "lonely")
+    assert rows["lonely"]["template"] == ""
+    # An even shrink by a tenth, measured from the shape's own centre.
+    mesh = normalize(collection.mesh("bumpy"))
+    reach = 0.1 * np.linalg.norm(mesh.vertices, axis=1).max() / np.sqrt(mesh.area)
+    assert 0.5 * reach < float(rows["bumpy"]["prediction_coverage_max"]) <= reach
+
+
+def test_summary_groups_splits_and_lists_what_is_missing(evaluated: tuple[Path, dict]) -> None:
+    folder, metrics = evaluated
+    summary = json.loads((folder / "summary.json").read_text())
+    assert list(summary["groups"]) == ["train", "test", "all"]
+    train, test, everything = summary["groups"].values()
+    assert (train["shapes"], test["shapes"], everything["shapes"]) == (2, 2, 4)
+    assert (train["pairs"], test["pairs"], everything["pairs"]) == (1, 0, 3)
+    assert train["error"] < 1e-9
+    assert "error" not in test
+    assert everything["error_median"] > 0
+    assert everything["affected_shapes"] == 0
+    assert [entry["id"] for entry in summary["skipped"]] == ["open"]
+    assert "boundary edges" in summary["skipped"][0]["reason"]
+    assert summary["failed"] == [{"id": "gone", "error": "gone: not embeddable"}]
+    assert next(iter(metrics)) == "test/sigma_mean"
+    assert metrics["all/error"] == pytest.approx(everything["error"])
+    curve = summary["curves"]["train"]["raw"]
+    assert curve[1] == 1
+    rotated, raw = (np.array(summary["curves"]["all"][key]) for key in ("rotated", "raw"))
+    assert (np.diff(raw) >= 0).all()
+    assert (rotated >= raw).all()
+    text = (folder / "summary.md").read_text()
+    assert "open" in text
+    assert "gone" in text
+    assert len(table(folder / "summary.csv")) == 3
+
+
+def test_bad_faces_and_collapsed_triangles_are_counted(
+    collection: ShapeCollection, maps: Run, tmp_path: Path
+) -> None:
+    sphere = icosphere(3).vertices.copy()
+    # A vertex moved across the opposite edge folds faces over.
+    sphere[200] = -sphere[200]
+    mesh = collection.mesh("bumpy")
+    save_map(SphericalMap(sphere, mesh.vertices, mesh.faces, "bumpy"), maps.folder / "maps")
+    row = Evaluate(maps.folder, tmp_path / "out", collection, level=3, samples=500)("bumpy")
+    assert row["bad_faces"] > 0
+    assert row["bad_faces_percent"] == pytest.approx(100 * row["bad_faces"] / len(mesh.faces))
+    summary = summarize([row], [], NAMES, 6)
+    assert summary["groups"]["all"]["affected_shapes"] == 1
+
+
+def test_pair_of_other_templates_is_compared_at_keypoints(
+    bumpy: Mesh, ellipsoid: Mesh, rng: np.random.Generator
+) -> None:
+    ball = icosphere(3).vertices
+    at = sample_surface(bumpy.face_areas, 9, rng)
+    keypoints = GroundTruth("keypoints", np.arange(9), at)
+    truths = [GroundTruth(name, np.arange(9), at) for name in ("cow", "fox")]
+    one, other = (
+        EvaluatedMap(SphericalMap(ball, mesh.vertices, mesh.faces), truth, keypoints)
+        for mesh, truth in zip((bumpy, ellipsoid), truths, strict=True)
+    )
+    (record,) = pair_records(one, other)
+    assert record["kind"] == "keypoints"
+    assert record["points"] == 9
+    assert record["error"] < 1e-9
+    assert pair_records(one, EvaluatedMap(other.map)) == []
+
+
+def test_pair_figures_are_symmetric(
+    bumpy: Mesh, ellipsoid: Mesh, rng: np.random.Generator
+) -> None:
+    at = sample_surface(bumpy.face_areas, 200, rng)
+    truth = GroundTruth("ball", np.arange(200), at)
+    ball = icosphere(3).vertices
+    one = EvaluatedMap(SphericalMap(ball, bumpy.vertices, bumpy.faces), truth)
+    other = EvaluatedMap(SphericalMap(ball @ TURN.T, ellipsoid.vertices, ellipsoid.faces), truth)
+    ahead, back = pair_records(one, other)[0], pair_records(other, one)[0]
+    for key in ("error", "error_max", "hausdorff", "c", "c_area"):
+        assert ahead[key] == pytest.approx(back[key], rel=1e-9)
+    # Scale and position of the input do not matter.
+    moved = bumpy.with_vertices(7 * bumpy.vertices + np.array([3.0, -2, 1]))
+    shifted = EvaluatedMap(SphericalMap(ball, moved.vertices, moved.faces), truth)
+    again = pair_records(shifted, other)[0]
+    for key in ("error", "error_rotated", "c", "c_area_rotated"):
+        assert again[key] == pytest.approx(ahead[key], rel=1e-6)
+
+
+def test_ground_truth_of_another_mesh_is_refused(
+    collection: ShapeCollection, maps: Run, tmp_path: Path
+) -> None:
+    at = SurfacePoints(np.array([5000]), np.full((1, 3), 1 / 3))
+    truth = collection.shape("bumpy").correspondence
+    assert truth is not None
+    save_ground_truth(truth, GroundTruth("ball", np.array([0]), at))
+    with pytest.raises(MissingData, match=r"ground truth names face 5000.*entry of bumpy"):
+        Evaluate(maps.folder, tmp_path / "out", collection)("bumpy")
+
+
+def test_no_maps_names_the_stage(collection: ShapeCollection, tmp_path: Path) -> None:
+    inputs = {"parameterize": Run(tmp_path / "nothing")}
+    with pytest.raises(MissingData, match=r"holds no map of collection four.*stage=parameterize"):
+        evaluate_items(inputs, tmp_path, collection=collection)
+
+
+def test_json_has_null_for_what_is_not_finite() -> None:
+    found = without_nan({"a": [1.0, np.inf], "b": {"c": np.nan, "d": 2}})
+    assert found == {"a": [1.0, None], "b": {"c": None, "d": 2}}
