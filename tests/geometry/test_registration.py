@@ -192,6 +192,7 @@ def test_a_hopeless_edge_is_never_accepted(bumpy: Mesh) -> None:
     assert attempts.complaints[-1] != ""
 
 
+@pytest.mark.filterwarnings("ignore:invalid value")
 def test_a_diverged_registration_says_so(bumpy: Mesh) -> None:
     broken = bumpy.with_vertices(np.where(bumpy.vertices > 1, np.nan, bumpy.vertices))
     with pytest.raises(RegistrationFailed, match=r"bumpy: the registration diverged .* start"):

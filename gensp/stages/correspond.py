@@ -1,0 +1,191 @@
+"""Stage III-a (paper §4.3): correspondences between the sphere and every training shape."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from gensp.compute import Row, row_path
+from gensp.errors import RegistrationFailed
+from gensp.files import load_npz, save_npz, write_json
+from gensp.geometry.consistency import coverage
+from gensp.geometry.correspondence import Correspondence, Tree, propagate
+from gensp.geometry.mesh import Mesh
+from gensp.geometry.sphere import icosphere
+from gensp.runs import Run
+from gensp.stages.base import ItemStage, write_table
+from gensp.tasks.correspond import RegisterEdge, edge_path, is_input
+
+
+class CorrespondStage(ItemStage):
+    """Passes over the edges of the tree; its ending carries the icosphere outward along them.
+
+    Writes edges/<child>.npz and edges.csv, tree.json, correspondences/<id>.npz (points, valid)
+    of every shape reached, and shapes.csv. A shape whose edge failed every retry is joined to
+    another node that was reached; where that fails too, it is reported and left out.
+
+    Parameters
+    ----------
+    task
+        Registers one edge; knows the tree.
+    level
+        Of the icosphere that is carried.
+    alternatives
+        How many other parents a failed edge may try; none in a star.
+    max_failures
+        More input shapes than this without correspondences end the stage.
+    """
+
+    def __init__(
+        self,
+        *,
+        task: RegisterEdge,
+        level: int,
+        alternatives: int = 3,
+        max_failures: int = 0,
+        folder: Path | str = Path("."),
+    ) -> None:
+        super().__init__(table="edges", max_failures=max_failures, folder=folder)
+        self.task = task
+        self.level = level
+        self.alternatives = 0 if task.kind == "star" else alternatives
+
+    @classmethod
+    def from_runs(
+        cls,
+        inputs: Mapping[str, Run],
+        folder: Path,
+        *,
+        task: Callable[..., RegisterEdge],
+        **numbers: Any,
+    ) -> Self:
+        """With the same task that the items are given to."""
+        return cls(task=task(inputs=inputs, folder=folder), folder=folder, **numbers)
+
+    def finish(self) -> dict[str, float]:
+        """Join what failed elsewhere, carry the icosphere outward, write the tables."""
+        parents = self._parents_reached()
+        counts = super().finish()
+        tree, reached = self._final_tree(parents)
+        self._write_tree(tree, reached)
+        rows = [self._carried_row(id, found) for id, found in self._carried(tree, reached)]
+        lost = [id for id in self.task.shapes.ids if is_input(id) and id not in parents]
+        rows += [{"id": id, "error": "no registration reached it"} for id in lost]
+        write_table(self.folder / "shapes.csv", rows)
+        self._require_few(lost)
+        return {**self._metrics([row for row in rows if not row.get("error")]), **counts}
+
+    def _parents_reached(self) -> dict[str, str]:
+        """Child → parent of accepted edges that hang together with the root, in order."""
+        reached: dict[str, str] = {}
+        root = self.task.shapes.ids[self.task.shapes.tree.order[0]]
+        for child, parent in self.task.shapes.edges.items():
+            joined = self._accepted_parent(child)
+            known = {root, *reached}
+            if joined not in known:
+                others = [id for id in self._nearest(child, known) if id != parent]
+                joined = self._join_elsewhere(child, others[: self.alternatives])
+            if joined is not None:
+                reached[child] = joined
+        return reached
+
+    def _accepted_parent(self, child: str) -> str | None:
+        path = edge_path(self.folder, child)
+        if not path.is_file():
+            return None
+        edge = load_npz(path)
+        return str(edge["parent"]) if bool(edge["accepted"]) else None
+
+    def _nearest(self, child: str, known: set[str]) -> list[str]:
+        shapes = self.task.shapes
+        gap = np.linalg.norm(shapes.codes - shapes.codes[shapes.ids.index(child)], axis=1)
+        return [shapes.ids[k] for k in np.argsort(gap, kind="stable") if shapes.ids[k] in known]
+
+    def _join_elsewhere(self, child: str, parents: list[str]) -> str | None:
+        for parent in parents:
+            row = self.task.join(child, parent)
+            if row["accepted"]:
+                write_json(row_path(self.folder, child), {**row, "joined_elsewhere": True})
+                return parent
+        return None
+
+    def _final_tree(self, parents: Mapping[str, str]) -> tuple[Tree, np.ndarray]:
+        """The tree with its changed edges, and the nodes that the icosphere reaches."""
+        shapes = self.task.shapes
+        index = {id: k for k, id in enumerate(shapes.ids)}
+        parent, weight = shapes.tree.parent.copy(), shapes.tree.weight.copy()
+        reached = np.zeros(len(parent), dtype=bool)
+        reached[shapes.tree.order[0]] = True
+        for child, other in parents.items():
+            k, above = index[child], index[other]
+            parent[k], reached[k] = above, True
+            weight[k] = np.linalg.norm(shapes.codes[k] - shapes.codes[above])
+        # Another parent always came earlier in this order, so it stays parents first.
+        return replace(shapes.tree, parent=parent, weight=weight), reached
+
+    def _write_tree(self, tree: Tree, reached: np.ndarray) -> None:
+        content = {
+            "ids": list(self.task.shapes.ids),
+            "parent": tree.parent,
+            "weight": tree.weight,
+            "used": reached,
+        }
+        write_json(self.folder / "tree.json", content)
+
+    def _carried(self, tree: Tree, reached: np.ndarray) -> Iterator[tuple[str, Correspondence]]:
+        ids = self.task.shapes.ids
+        carried = propagate(
+            tree,
+            reached,
+            mesh=lambda k: self.task.mesh(ids[k]),
+            registered=lambda k: load_npz(edge_path(self.folder, ids[k]))["vertices"],
+            sphere=icosphere(self.level),
+        )
+        self._depth = dict(zip(ids, tree.depth().tolist(), strict=True))
+        yield from ((ids[k], found) for k, found in carried if tree.parent[k] >= 0)
+
+    def _carried_row(self, id: str, found: Correspondence) -> Row:
+        """Write a shape's correspondences; measure how much of the shape they reach."""
+        path = self.folder / "correspondences" / f"{id}.npz"
+        save_npz(path, points=found.points, valid=found.valid)
+        image = Mesh(found.points, icosphere(self.level).faces, id)
+        gaps = coverage(self.task.mesh(id), image)
+        return {
+            "id": id,
+            "input": is_input(id),
+            "depth": self._depth[id],
+            "fold_rate": found.fold_rate,
+            "valid": float(found.valid.mean()),
+            "coverage": gaps.mean,
+            "coverage_max": gaps.max,
+        }
+
+    def _require_few(self, lost: list[str]) -> None:
+        if len(lost) > self.max_failures:
+            raise RegistrationFailed(
+                f"{self.folder}: {len(lost)} input shapes ({', '.join(lost[:5])}) have no "
+                f"accepted registration, at most {self.max_failures} may lack one; see edges.csv; "
+                "widen recipe.correspond.acceptance, add recipe.correspond.retries, or raise "
+                "recipe.correspond.max_failures"
+            )
+
+    def _metrics(self, rows: list[Row]) -> dict[str, float]:
+        inputs = [row for row in rows if row["input"]]
+        edges = [row for row in self.rows if not row.get("error")]
+
+        def mean(name: str, of: list[Row]) -> float:
+            return float(np.mean([float(row[name] or 0) for row in of])) if of else float("nan")
+
+        return {
+            "coverage": mean("coverage", inputs),
+            "fold_rate": mean("fold_rate", inputs),
+            "valid": mean("valid", inputs),
+            "depth": mean("depth", inputs),
+            "residual": mean("residual", [row for row in edges if "residual" in row]),
+            "seconds_per_edge": mean("seconds", edges),
+            "retried": sum(int(row["attempts"] or 0) > 1 for row in edges),
+            "joined_elsewhere": sum(bool(row.get("joined_elsewhere")) for row in edges),
+            "rejected": sum(not row["accepted"] for row in edges),
+        }

@@ -1,0 +1,177 @@
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gensp.compute import Workers, run_items
+from gensp.data.items import item_path
+from gensp.errors import RegistrationFailed
+from gensp.files import load_npz, read_json, save_npz, write_json
+from gensp.geometry.distance import closest_point
+from gensp.geometry.mesh import Mesh, normalize
+from gensp.geometry.sphere import icosphere
+from gensp.runs import Run
+from gensp.stages.correspond import CorrespondStage
+from gensp.tasks.correspond import correspond_items, correspond_task
+
+SETTINGS = {
+    "guided": True,
+    "tree": "minimum",
+    "registration": {"schedule": [[10.0, 3], [1.0, 2], [0.1, 2]]},
+    "retries": [{"normal_agreement": 0.0}],
+    "acceptance": {"residual": 0.03, "coverage": 0.03, "fold_rate": 0.05},
+    "level_sets": {"resolution": 24, "vertices": 300},
+    "sphere_level": 3,
+}
+
+
+def stretched(amount: float) -> Mesh:
+    ball = icosphere(3)
+    return normalize(Mesh(ball.vertices * np.array([1 + amount, 1, 1 - amount / 3]), ball.faces))
+
+
+SHAPES = {
+    "a": stretched(0.6),
+    "a@0": stretched(0.2),
+    "a@1": stretched(0.4),
+    "b": stretched(0.8),
+    "b@0": stretched(-0.3),
+}
+CODES = {"sphere": 0.0, "a": 0.6, "a@0": 0.2, "a@1": 0.4, "b": 0.8, "b@0": -0.3}
+
+
+@pytest.fixture
+def inputs(tmp_path: Path) -> dict[str, Run]:
+    """What augment and implicit leave: two inputs on one line from the sphere, one dead branch."""
+    augment, implicit = tmp_path / "augment", tmp_path / "implicit"
+    for id, mesh in SHAPES.items():
+        save_npz(item_path(augment, id), vertices=mesh.vertices, faces=mesh.faces)
+    codes = np.array([[code, 0.0] for code in CODES.values()], dtype=np.float32)
+    save_npz(implicit / "latents.npz", ids=np.array(list(CODES)), codes=codes)
+    return {"augment": Run(augment), "implicit": Run(implicit)}
+
+
+def run(inputs: dict[str, Run], folder: Path, **changes: object) -> CorrespondStage:
+    def task(**places: object):
+        return correspond_task(**places, **{**SETTINGS, **changes})
+
+    items = correspond_items(inputs=inputs, folder=folder, task=task)
+    list(run_items(task(inputs=inputs, folder=folder), items, folder, Workers(jobs=1)))
+    return CorrespondStage.from_runs(inputs, folder, task=task, level=2)
+
+
+def test_the_icosphere_reaches_every_input_through_its_ancestors(
+    inputs: dict[str, Run], tmp_path: Path
+) -> None:
+    folder = tmp_path / "correspond"
+    metrics = run(inputs, folder).finish()
+    tree = read_json(folder / "tree.json")
+    parents = {id: tree["ids"][p] for id, p in zip(tree["ids"], tree["parent"], strict=True)}
+    assert [parents[id] for id in ("a@0", "a@1", "a", "b")] == ["sphere", "a@0", "a@1", "a"]
+    used = {id for id, mark in zip(tree["ids"], tree["used"], strict=True) if mark}
+    assert used == {"sphere", "a", "a@0", "a@1", "b"}
+    written = {path.stem for path in (folder / "correspondences").iterdir()}
+    assert written == {"a", "a@0", "a@1", "b"}
+    found = load_npz(folder / "correspondences" / "b.npz")
+    assert found["points"].shape == (162, 3)
+    assert found["valid"].all()
+    # Registration slides along the surface, but a stretch leaves every vertex on its side.
+    expected = SHAPES["b"].vertices[:162]
+    assert np.linalg.norm(found["points"] - expected, axis=1).mean() < 0.25
+    assert closest_point(found["points"], SHAPES["b"]).distance.max() < 1e-9
+    assert next(iter(metrics)) == "coverage"
+    assert metrics["coverage"] < 0.02
+    assert metrics["depth"] == 3.5
+    assert metrics["fold_rate"] == 0
+    assert metrics["rejected"] == 0
+    assert (folder / "edges.csv").read_text().startswith("id,parent,accepted,residual")
+    assert "a@1" in (folder / "shapes.csv").read_text()
+
+
+def test_without_guided_paths_all_inputs_hang_on_the_sphere(
+    inputs: dict[str, Run], tmp_path: Path
+) -> None:
+    folder = tmp_path / "correspond"
+    stage = run(inputs, folder, guided=False)
+    assert stage.task.shapes.edges == {"a": "sphere", "b": "sphere"}
+    assert stage.alternatives == 0
+    assert stage.finish()["depth"] == 1
+    assert {path.stem for path in (folder / "correspondences").iterdir()} == {"a", "b"}
+
+
+def test_a_failed_edge_is_joined_elsewhere_and_said_to_be(
+    inputs: dict[str, Run], tmp_path: Path
+) -> None:
+    folder = tmp_path / "correspond"
+    # The node on the way to both inputs is a shape that nothing can be registered to.
+    far = SHAPES["a@1"].with_vertices(SHAPES["a@1"].vertices + np.array([9.0, 0, 0]))
+    path = item_path(inputs["augment"].folder, "a@1")
+    save_npz(path, vertices=far.vertices, faces=np.ascontiguousarray(far.faces[:, ::-1]))
+    metrics = run(inputs, folder).finish()
+    tree = read_json(folder / "tree.json")
+    parents = {id: tree["ids"][p] for id, p in zip(tree["ids"], tree["parent"], strict=True)}
+    assert parents["a"] == "a@0"
+    assert parents["b"] == "a"
+    used = {id for id, mark in zip(tree["ids"], tree["used"], strict=True) if mark}
+    assert "a@1" not in used
+    assert {path.stem for path in (folder / "correspondences").iterdir()} == {"a", "a@0", "b"}
+    assert metrics["joined_elsewhere"] == 1
+    assert metrics["rejected"] == 1
+    edges = (folder / "edges.csv").read_text()
+    assert "joined_elsewhere" in edges
+    # Again, as after an interruption: nothing changes.
+    assert run(inputs, folder).finish()["joined_elsewhere"] == 1
+    assert read_json(folder / "tree.json") == tree
+
+
+def test_a_lost_input_is_an_error_with_its_remedy(inputs: dict[str, Run], tmp_path: Path) -> None:
+    broken = SHAPES["b"].vertices + np.array([9.0, 0, 0])
+    faces = np.ascontiguousarray(SHAPES["b"].faces[:, ::-1])
+    save_npz(item_path(inputs["augment"].folder, "b"), vertices=broken, faces=faces)
+    stage = run(inputs, tmp_path / "correspond")
+    with pytest.raises(RegistrationFailed, match=r"1 input shapes \(b\) have no .*max_failures"):
+        stage.finish()
+    assert "b,,,,,,,no registration" in (tmp_path / "correspond" / "shapes.csv").read_text()
+    stage.max_failures = 1
+    assert stage.finish()["rejected"] == 1
+
+
+def test_an_edge_leaves_its_numbers(inputs: dict[str, Run], tmp_path: Path) -> None:
+    stage = run(inputs, tmp_path / "correspond")
+    row = next(row for row in stage.rows if row["id"] == "a")
+    assert row["parent"] == "a@1"
+    assert row["accepted"] is True
+    assert row["attempts"] == 1
+    assert {"residual", "coverage", "fold_rate", "converged", "iterations", "seconds"} <= set(row)
+    edge = load_npz(tmp_path / "correspond" / "edges" / "a.npz")
+    assert edge["vertices"].shape == SHAPES["a@1"].vertices.shape
+    assert float(edge["residual"]) == row["residual"]
+
+
+def test_interpolants_are_level_sets_of_the_implicit_model(
+    inputs: dict[str, Run], tmp_path: Path
+) -> None:
+    from gensp.models import ImplicitField, save_model
+
+    field = ImplicitField(2, width=8, depth=2)
+    for weight in field.parameters():
+        weight.data.zero_()
+    save_model(inputs["implicit"].folder / "model.pt", field=field)
+    task = correspond_task(
+        inputs=inputs,
+        folder=tmp_path,
+        **{**SETTINGS, "registration": {**SETTINGS["registration"], "interpolants": 2}},
+    )
+    # A network of zeros leaves f = |x| - 1: every level set is the unit sphere.
+    between = task._between("a@1", "a", 2)
+    assert len(between) == 2
+    assert np.abs(np.linalg.norm(between[0].vertices, axis=1) - 1).max() < 0.05
+    row = task("a")
+    assert row["iterations"] > 7
+
+
+def test_the_task_travels_to_workers(inputs: dict[str, Run], tmp_path: Path) -> None:
+    task = correspond_task(inputs=inputs, folder=tmp_path, **SETTINGS)
+    assert pickle.loads(pickle.dumps(task)).shapes.edges == task.shapes.edges
+    write_json(tmp_path / "edges.json", task.shapes.edges)
