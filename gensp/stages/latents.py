@@ -75,9 +75,12 @@ class CodeTable(nn.Module):
         self.parent[seen] = torch.where(parent < 0, parent, seen[parent])
 
     def join(self, parents: Mapping[str, str]) -> None:
-        """Take the tree from elsewhere: item → parent; items without a known parent stay alone."""
+        """Take the tree from elsewhere: item → parent; ancestors without a code are skipped."""
         for id, row in self.rows.items():
-            self.parent[row] = self.rows.get(parents.get(id, ""), -1)
+            above = parents.get(id)
+            while above is not None and above not in self.rows:
+                above = parents.get(above)
+            self.parent[row] = -1 if above is None else self.rows[above]
 
     def sample(self, count: int, generator: torch.Generator) -> Float[Tensor, "count d"]:
         """Codes z ~ p_sync on random edges of the tree."""

@@ -1,0 +1,62 @@
+import numpy as np
+import torch
+
+from gensp.models import PointNet2Encoder
+from gensp.stages.latents import CloudCodes, CodeTable, draws
+
+
+def table() -> CodeTable:
+    codes = CodeTable(["sphere", "a", "b", "c"], 2)
+    codes.update(["sphere", "a", "b", "c"], torch.tensor([[0.0, 0], [1.0, 0], [2.0, 0], [2.0, 1]]))
+    return codes
+
+
+def test_neighbours_are_joined_by_the_minimum_tree() -> None:
+    codes = table()
+    codes.join_neighbours()
+    assert codes.parent.tolist() == [-1, 0, 1, 2]
+
+
+def test_items_never_seen_take_no_part() -> None:
+    codes = CodeTable(["sphere", "a", "unseen", "c"], 1)
+    codes.update(["sphere", "a", "c"], torch.tensor([[0.0], [2.0], [1.0]]))
+    codes.join_neighbours()
+    assert codes.parent.tolist() == [-1, 3, -1, 0]
+    assert codes.sample(50, draws(0, 0)).isfinite().all()
+
+
+def test_given_tree_skips_ancestors_without_a_code() -> None:
+    codes = table()
+    codes.join({"a": "sphere", "b": "x", "x": "y", "y": "a", "c": "elsewhere"})
+    assert codes.parent.tolist() == [-1, 0, 1, -1]
+
+
+def test_samples_lie_on_the_edges_of_the_tree() -> None:
+    codes = table()
+    codes.join_neighbours()
+    x, y = codes.sample(200, draws(0, 3)).T.numpy()
+    on_first, on_last = np.isclose(y, 0), np.isclose(x, 2)
+    assert (on_first | on_last).all()
+    assert (on_first & (x < 1)).any()
+    assert (on_first & (x > 1)).any()
+    assert (on_last & (y > 0)).any()
+
+
+def test_draws_depend_on_seed_step_and_rank_alone() -> None:
+    first = [torch.rand((), generator=draws(1, 2, 3)).item() for _ in range(2)]
+    others = [
+        torch.rand((), generator=draws(*key)).item() for key in ((2, 2, 3), (1, 3, 3), (1, 2, 4))
+    ]
+    assert first[0] == first[1]
+    assert first[0] not in others
+
+
+def test_stored_neighbourhoods_give_the_same_codes() -> None:
+    torch.manual_seed(0)
+    encoder = PointNet2Encoder(4, width=4, groups=((16, 4), (4, 4)))
+    clouds, ids = torch.randn(20, 40, 3), [str(k) for k in range(20)]
+    encode = CloudCodes(encoder)
+    expected = encoder(clouds)
+    torch.testing.assert_close(encode(ids, clouds), expected)
+    torch.testing.assert_close(encode(ids[5:8], clouds[5:8]), expected[5:8])
+    torch.testing.assert_close(encode.all(ids, clouds), expected - expected[:1])
