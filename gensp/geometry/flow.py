@@ -76,20 +76,6 @@ class Flow:
 
     def at(self, fractions: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k n 3"]:
         """Shapes at fractions in [0, 1] of the arc length, linear between steps."""
-        left, weight = self._between(fractions)
-        right = np.minimum(left + 1, len(self.times) - 1)
-        weight = weight[:, None, None]
-        return (1 - weight) * self.vertices[left] + weight * self.vertices[right]
-
-    def sound_at(self, fractions: Float[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
-        """Whether the steps around the fractions have sound triangles."""
-        left, weight = self._between(fractions)
-        right = np.minimum(left + (weight > 0), len(self.times) - 1)
-        return self.sound[left] & self.sound[right]
-
-    def _between(
-        self, fractions: Float[np.ndarray, " k"]
-    ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"]]:
         # Ties (a flow that does not move) resolve to the first step.
         position = np.interp(
             np.clip(fractions, 0, 1) * self.arc_length[-1],
@@ -97,7 +83,9 @@ class Flow:
             np.arange(len(self.arc_length), dtype=np.float64),
         )
         left = np.floor(position).astype(np.int64)
-        return left, position - left
+        right = np.minimum(left + 1, len(self.times) - 1)
+        weight = (position - left)[:, None, None]
+        return (1 - weight) * self.vertices[left] + weight * self.vertices[right]
 
 
 def cmcf(

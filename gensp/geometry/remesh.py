@@ -3,15 +3,17 @@
 Source of the inside test: Barill et al. 2018, "Fast winding numbers for soups and clouds".
 """
 
+from typing import TYPE_CHECKING
+
 import igl
 import numpy as np
-import torch
-from torch import Tensor
 
 from gensp.errors import BadMesh, DegenerateMesh, EmptyLevelSet
 from gensp.geometry.distance import ClosestPointTree
-from gensp.geometry.isosurface import extract_surface
 from gensp.geometry.mesh import Mesh, require_genus_zero, simplify
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 # Marching cubes on cells of side h leaves about 1.5 area / h² vertices; three times as many as
 # asked for are made, so that edge collapses can choose.
@@ -91,7 +93,12 @@ def remesh_geometry(mesh: Mesh, *, vertices: int) -> Mesh:
 def _extract(
     tree: ClosestPointTree, name: str, spacing: float, level: float, vertices: int
 ) -> Mesh:
-    def field(points: Tensor) -> Tensor:
+    # Most shapes keep their triangles, and torch takes seconds to load in every worker.
+    import torch
+
+    from gensp.geometry.isosurface import extract_surface
+
+    def field(points: "Tensor") -> "Tensor":
         return torch.from_numpy(tree.signed_distance(points.numpy()) - level)
 
     margin = 2 * spacing + level

@@ -9,7 +9,7 @@ import numpy as np
 from gensp.compute import Row
 from gensp.data.items import item_path
 from gensp.data.shapes import ShapeCollection
-from gensp.files import write_json
+from gensp.files import write_json, write_text
 from gensp.geometry.flow import accepted
 from gensp.runs import Run
 from gensp.stages.base import ItemStage, write_table
@@ -62,8 +62,7 @@ class AugmentStage(ItemStage):
         rows = self._judged(rows)
         items = [entry for row in rows for entry in self._items(row)]
         write_table(self.folder / "flows.csv", rows)
-        skipped = [{"id": id, "reason": reason} for id, reason in self.skipped]
-        write_table(self.folder / "skipped.csv", skipped)
+        self._write_skipped()
         write_json(self.folder / "items.json", items)
         samples = sum(entry["kind"] == "augmented" for entry in items)
         return {
@@ -73,6 +72,13 @@ class AugmentStage(ItemStage):
             "skipped": len(self.skipped),
             **counts,
         }
+
+    def _write_skipped(self) -> None:
+        path = self.folder / "skipped.csv"
+        if self.skipped:
+            write_table(path, [{"id": id, "reason": reason} for id, reason in self.skipped])
+        else:
+            write_text(path, "id,reason\n")
 
     def _judged(self, rows: list[Row]) -> list[Row]:
         scores = np.array([np.inf if row["score"] is None else row["score"] for row in rows])
