@@ -24,6 +24,8 @@ from gensp.files import content_hash, write_text
 from gensp.geometry.distance import closest_point
 from gensp.geometry.mesh import Mesh, normalize, require_genus_zero, save_mesh, simplify
 
+# Counted up when the recipe below changes, so that kept families are made anew.
+_VERSION = 2
 # Sharpness of the smooth union and of the skin weights, per unit length.
 _UNION, _SKIN = 18.0, 14.4
 _CELLS = 72
@@ -51,7 +53,7 @@ class BlobFamily:
     test: int = 1
     seed: int = 0
     leg_radius: float = 0.18
-    leg_length: float = 0.7
+    leg_length: float = 1.0
     amplitude: float = 0.5
     noise: float = 2e-3
 
@@ -77,8 +79,8 @@ def _skeleton(leg_radius: float, leg_length: float) -> _Skeleton:
     ]
     for x in (-0.65, 0.65):
         for z in (-0.28, 0.28):
-            hip, knee = (x, -0.15, z), (x, -0.15 - leg_length, 1.15 * z)
-            foot = (x + 0.05, -0.15 - 1.9 * leg_length, 1.2 * z)
+            hip, knee = (x, -0.15, z), (x, -0.15 - 0.52 * leg_length, 1.15 * z)
+            foot = (x + 0.05, -0.15 - leg_length, 1.2 * z)
             bones.append((hip, knee, (1.2 * leg_radius, leg_radius), 0))
             bones.append((knee, foot, (leg_radius, 0.85 * leg_radius), len(bones) - 1))
     start, end, radius, parent = zip(*bones, strict=True)
@@ -131,6 +133,8 @@ def _bone_motions(
     """Affine motion x → A x + s of every bone: stretch along it, thicken, rotate at its start."""
     count = len(bones.parent)
     angles = amplitude * 0.45 * generator.standard_normal((count, 3))
+    # The body stays where it is: collections are roughly aligned.
+    angles[0] = 0
     turns = Rotation.from_rotvec(angles).as_matrix()
     length, thickness = np.exp(amplitude * generator.normal(scale=(0.2, 0.12), size=(count, 2))).T
     turned = np.zeros((count, 3, 3))
@@ -197,7 +201,7 @@ def blob_samples(family: BlobFamily) -> Iterator[tuple[Mesh, GroundTruth]]:
 
 def generate_blobs(cache: Path | str, family: BlobFamily) -> Path:
     """Folder of the family's meshes, ground truth and manifest, made once per settings."""
-    root = Path(cache) / f"blobs-{content_hash(asdict(family))}"
+    root = Path(cache) / f"blobs-{content_hash(asdict(family), _VERSION)}"
     if (root / "manifest.csv").is_file():
         return root
     rows = []

@@ -74,9 +74,14 @@ class SdfSampler:
         return content_hash(mesh.vertices, mesh.faces, asdict(self), bound)
 
 
+def sample_path(mesh: Mesh, sampler: SdfSampler, bound: float, cache: Path) -> Path:
+    """Where the samples of a mesh are kept."""
+    return cache / f"{sampler.key(mesh, bound)}.npz"
+
+
 def cached_samples(mesh: Mesh, sampler: SdfSampler, bound: float, cache: Path) -> SdfSamples:
     """Samples from `cache`, computed and stored where they are missing or damaged."""
-    path = cache / f"{sampler.key(mesh, bound)}.npz"
+    path = sample_path(mesh, sampler, bound, cache)
     if path.is_file():
         samples = _read(path)
         if samples is not None:

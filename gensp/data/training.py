@@ -24,7 +24,7 @@ from gensp.data.batches import (
 )
 from gensp.data.clouds import SurfaceSampler, point_cloud, sphere_cloud
 from gensp.data.items import item_mesh, training_items
-from gensp.data.sdf import SdfSampler, cached_samples
+from gensp.data.sdf import SdfSampler, cached_samples, sample_path
 from gensp.data.shapes import SPHERE
 from gensp.errors import MissingData
 from gensp.files import load_npz
@@ -133,13 +133,17 @@ class SdfModule(FitModule):
 
     def prepare_data(self) -> None:
         """Fill the cache, on one rank, with all processes."""
-        calls = (
-            joblib.delayed(cached_samples)(mesh, self.sampler, self.bound, self.cache)
+        missing = [
+            mesh
             for mesh in self.meshes
-        )
-        joblib.Parallel(
-            n_jobs=self.workers.count(), backend=self.workers.backend, return_as="list"
-        )(calls)
+            if not sample_path(mesh, self.sampler, self.bound, self.cache).is_file()
+        ]
+        count = min(self.workers.count(), len(missing))
+        if count:
+            backend = self.workers.backend if count > 1 else "sequential"
+            call = joblib.delayed(cached_samples)
+            calls = (call(mesh, self.sampler, self.bound, self.cache) for mesh in missing)
+            joblib.Parallel(n_jobs=count, backend=backend)(calls)
 
     def dataset(self) -> SdfDataset:
         """Pools of samples, read from the cache."""
