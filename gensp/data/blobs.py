@@ -50,7 +50,7 @@ class BlobFamily:
 
     count: int = 6
     vertices: int = 600
-    test: int = 1
+    test: int = 2
     seed: int = 0
     leg_radius: float = 0.18
     leg_length: float = 1.0
