@@ -22,7 +22,8 @@ STAGES = {
 }
 _SHOWN = ("maps", "summary.md", "pictures", "report.html")
 
-console = Console(highlight=False)
+# A log file has room for the whole table.
+console = Console(highlight=False, width=None if Console().is_terminal else 140)
 
 
 @rank_zero_only

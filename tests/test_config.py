@@ -13,7 +13,7 @@ import pytest
 from commands import ROOT, STAGES, train
 from hydra import compose, initialize_config_dir
 from hydra.errors import ConfigCompositionException
-from hydra.utils import get_object
+from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, OmegaConf
 
 CONF = ROOT / "conf"
@@ -46,27 +46,21 @@ def targets(node: Any) -> Iterator[dict[str, Any]]:
 
 
 def misplaced(node: dict[str, Any]) -> set[str]:
-    """Keys that the node's callable does not take, wherever it passes its own keywords on."""
+    """Keys that the node's callable does not take, as far as its signature tells."""
     keys = {key for key in node if not (key.startswith("_") and key.endswith("_"))}
     called = get_object(node["_target_"])
+    owner = getattr(called, "__self__", None)
+    # `from_runs` hands its **keywords to the constructors of its class.
+    chain = [called, *(base.__init__ for base in owner.__mro__)] if owner else [called]
     taken: set[str] = set()
-    for function in _passed_on(called):
+    for function in chain:
         parameters = inspect.signature(function).parameters.values()
         taken |= {p.name for p in parameters if p.kind is not p.VAR_KEYWORD}
         if not any(p.kind is p.VAR_KEYWORD for p in parameters):
             return keys - taken
+        if called.__name__ != "from_runs":
+            return set()
     return keys - taken
-
-
-def _passed_on(called: Any) -> list[Any]:
-    """The callable and where its **keywords end: the constructors of its class."""
-    owner = getattr(called, "__self__", None)
-    if inspect.isclass(owner):
-        return [called, *(base.__init__ for base in owner.__mro__)]
-    if inspect.isclass(called):
-        return [base.__init__ for base in called.__mro__]
-    returned = getattr(called, "__annotations__", {}).get("return")
-    return [called, *((returned.__init__,) if inspect.isclass(returned) else ())]
 
 
 def check(cfg: DictConfig) -> None:
@@ -115,6 +109,14 @@ def test_surroundings(group: str) -> None:
         check(composed("stage=implicit", f"{group}={choice}"))
 
 
+@pytest.mark.parametrize("recipe", choices("recipe"))
+@pytest.mark.parametrize("generator", choices("model/generator"))
+def test_networks_are_made(recipe: str, generator: str) -> None:
+    cfg = composed(f"recipe={recipe}", f"model/generator={generator}")
+    for node in cfg.model.values():
+        assert instantiate(node, _convert_="all").settings["latent"] == cfg.recipe.model.latent
+
+
 def test_pipelines_name_stages() -> None:
     for experiment in choices("experiment"):
         for entry in composed(f"experiment={experiment}").pipeline:
@@ -152,14 +154,18 @@ def test_every_recipe_key_is_read() -> None:
     text = "".join(path.read_text() for path in CONF.rglob("*.yaml"))
     for key in keys_of(recipe, "recipe"):
         parents = {key.rsplit(".", cut)[0] for cut in range(key.count("."))}
-        by_stage = re.sub(r"^recipe\.\w+\.", "${recipe.${stage.name}.", key) + "}"
-        assert key in read or parents & read or by_stage in text, key
+        # Keys that hold the name of a stage or of a fit.
+        chosen = (
+            re.sub(r"^recipe\.\w+\.", "${recipe.${stage.name}.", key) + "}",
+            "${" + key.rsplit(".", 1)[0] + ".${fit.name}}",
+        )
+        assert parents & read or any(word in text for word in chosen), key
 
 
 def test_each_ablation_switch_is_read_where_it_belongs() -> None:
     read = reads()
-    assert read["ablation.data_augmentation"] == {"data/sdf.yaml", "stage/correspond.yaml"}
-    assert read["ablation.guided_paths"] == {"stage/correspond.yaml"}
+    assert read["ablation.data_augmentation"] == {"data/sdf.yaml"}
+    assert read["ablation.guided_paths"] == {"data/correspond.yaml"}
     assert read["ablation.geometric_regularization"] == {
         "stage/implicit.yaml",
         "stage/finetune.yaml",

@@ -26,12 +26,13 @@ ALLOWED = {
     "tables": CORE,
     "pictures": CORE | {"geometry", "tables"},
 }
+ALLOWED["comparison"] = CORE | {"geometry", "pictures", "tables", "runs"}
 ALLOWED["data.modules"] = ALLOWED["data"] | {"runs", "data"}
 ALLOWED["data.training"] = ALLOWED["data"] | {"runs", "data"}
 ALLOWED["tasks"] = set(ALLOWED) - {"data.modules", "data.training"}
-ALLOWED["stages"] = {*ALLOWED, "tasks"}
 ALLOWED["terminal"] = CORE | {"tables"}
-ALLOWED["run"] = {*ALLOWED, "stages", "tasks"}
+ALLOWED["stages"] = set(ALLOWED)
+ALLOWED["run"] = set(ALLOWED)
 
 LIGHTNING = {"stages", "data.modules", "data.training", "terminal", "run"}
 HYDRA = {"run"}
