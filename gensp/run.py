@@ -22,7 +22,7 @@ from gensp.files import write_text
 from gensp.runs import Progress, Run, Runs, begin, clear, restart
 from gensp.stages.callbacks import WholeCheckpoints
 from gensp.stages.session import carry_out, close, conclude, quiet, threads
-from gensp.terminal import announce, complain, say
+from gensp.terminal import announce, complain, say, show_variants
 
 _TRAINER_SCIENCE = (
     "max_epochs",
@@ -66,6 +66,7 @@ def run_pipeline(cfg: DictConfig, overrides: Sequence[str] = ()) -> float | None
         words = [*_without(typed, entry), *entry]
         stage = compose("config", overrides=words)
         headline = run_stage(stage, words, place=f"{number}/{len(cfg.pipeline)}")
+    show_variants(Path(cfg.paths.runs) / cfg.name)
     return headline
 
 

@@ -8,6 +8,7 @@ from typing import Any
 from lightning.pytorch.utilities import rank_zero_only
 from rich.console import Console
 
+from gensp.comparison import compare_variants
 from gensp.files import read_json
 from gensp.tables import rich_table
 
@@ -53,3 +54,14 @@ def report(folder: Path, metrics: Mapping[str, Any], seconds: float) -> None:
     for name in _SHOWN:
         if (folder / name).exists():
             say(f"      {folder / name}")
+
+
+@rank_zero_only
+def show_variants(experiment: Path) -> None:
+    """The end of a pipeline: all variants and methods of the experiment, split by split."""
+    comparison = compare_variants(experiment)
+    if len(comparison.summaries) < 2:
+        return
+    for split in comparison.splits:
+        console.print(comparison.rich(split))
+    say(f"      {experiment / 'summary.md'}")
