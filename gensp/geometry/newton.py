@@ -122,20 +122,30 @@ def _minimise(
     for iteration in range(max_iterations):
         frames = tangent_frame(u)
         gradient, hessian = problem.gradient(u, frames), problem.hessian(u, frames)
-        if solver is None:
-            solver = SPDSolver(hessian, problem.mesh.vertices)
-        else:
-            solver.refactor(hessian)
-        step = -solver.solve(gradient)
+        try:
+            solver = _factored(solver, hessian, problem.mesh)
+            step = -solver.solve(gradient)
+        except np.linalg.LinAlgError:
+            # Triangles so small that the matrix has no digits left: the map is as good as it gets.
+            return Refined(u, value, iteration, False)
         direction = np.einsum("nik,nk->ni", frames, step.reshape(-1, 2))
-        found = _line_search(problem, u, direction, value, float(gradient @ step))
+        slope = float(gradient @ step)
+        found = _line_search(problem, u, direction, value, slope)
         if found is None:
             return Refined(u, value, iteration, False)
-        decrease = value - found[1]
         u, value = found
-        if decrease <= tolerance * value:
+        # Half the slope is the decrease that the quadratic model promises: unlike the decrease
+        # itself it is not small merely because a fold was near.
+        if -0.5 * slope <= tolerance * value:
             return Refined(u, value, iteration + 1, True)
     return Refined(u, value, max_iterations, False)
+
+
+def _factored(solver: SPDSolver | None, hessian: scipy.sparse.csc_matrix, mesh: Mesh) -> SPDSolver:
+    if solver is None:
+        return SPDSolver(hessian, mesh.vertices)
+    solver.refactor(hessian)
+    return solver
 
 
 def _line_search(

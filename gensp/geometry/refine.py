@@ -8,9 +8,12 @@ import scipy.sparse
 from jaxtyping import Bool, Float, Int
 
 from gensp.geometry.distance import closest_point
+from gensp.geometry.linear import SPDSolver
 from gensp.geometry.mesh import Mesh
-from gensp.geometry.predicates import bad_faces
+from gensp.geometry.predicates import bad_faces, spherical_areas
 from gensp.geometry.sphere import unit
+
+_POLISHING = 5
 
 
 def invert(
@@ -46,70 +49,129 @@ def untangle(
     sphere: Float[np.ndarray, "n 3"],
     faces: Int[np.ndarray, "m 3"],
     *,
-    max_rounds: int = 60,
-    sweeps: int = 60,
-    first_ring: int = 3,
-    last_ring: int = 40,
-    thinness: float = 1e-7,
+    areas: Float[np.ndarray, " m"] | None = None,
+    crowding: float = 1e-2,
+    max_rounds: int = 40,
+    first_ring: int = 2,
+    largest_patch: float = 0.45,
+    thinness: float = 1e-6,
 ) -> Untangled:
-    """Smooth a spherical map around its bad faces until no face is folded.
+    """Re-embed the surroundings of bad faces until no face is folded.
 
-    The vertices around every bad face, out to a ring that widens from round to round, move to the
-    normalised mean of their neighbours (Tutte's embedding, relaxed on the sphere); the rest of the
-    map stays as it is. Bad is what the exact predicate calls folded or flat. A face whose
-    height is less than `thinness` of its longest side is smoothed along with its folded
-    neighbours, at whatever scale it lies, but does not by itself keep a map from being clean.
+    The vertices around every bad face, out to a ring that widens from round to round, become the
+    harmonic extension with unit weights of the rest, projected to the sphere; the rest of the map
+    stays as it is. Seen from the centre (gnomonic projection) that is Tutte's embedding (1963)
+    with positive weights, so a patch inside a hemisphere with a convex rim has no folds.
+
+    Bad is what the exact predicate calls folded or flat, and what `thin_faces` calls flat for its
+    own size. The latter does not keep a map from being clean.
 
     Parameters
     ----------
-    max_rounds, sweeps
-        Rounds before giving up, and averaging sweeps in each.
-    first_ring, last_ring
-        Width of the smoothed neighbourhood in edges, in the first round and at most.
+    areas
+        Areas of the surface's faces. With them, faces that hold less than `crowding` of their
+        share of the sphere are re-embedded as well, in the first round: the retracted limbs that
+        make the refinement slow.
+    max_rounds, first_ring
+        Rounds before giving up; width of the smoothed neighbourhood in edges in the first round.
+    largest_patch
+        Share of the sphere that the smoothed patches may cover; wider rings are cut back.
     """
     u = unit(sphere)
+    clean = not bad_faces(u, faces).any()
+    best = Untangled(u, 0, clean)
+    wrong = _wrong_faces(u, faces, thinness, largest_patch)
+    if areas is not None:
+        share = np.abs(spherical_areas(u, faces)) / (4 * np.pi)
+        wrong |= share < crowding * areas / areas.sum()
     adjacency = scipy.sparse.csr_matrix(igl.adjacency_matrix(faces), dtype=np.float64)
-    for count in range(max_rounds + 1):
-        folded = bad_faces(u, faces)
-        if not folded.any():
-            return Untangled(u, count, True)
-        if count < max_rounds:
-            around = _ring(faces[folded | thin_faces(u, faces, thinness)], adjacency, first_ring)
-            u = _smoothed(u, adjacency, around, sweeps)
-            first_ring = min(first_ring + 1, last_ring)
-    return Untangled(u, max_rounds, False)
+    ring, rounds = first_ring, 0
+    while wrong.any() and rounds < max_rounds:
+        moving, ring = _patch(u, faces, wrong, adjacency, ring, largest_patch)
+        u, rounds = harmonic_patch(u, adjacency, moving), rounds + 1
+        wrong = _wrong_faces(u, faces, thinness, largest_patch)
+        clean = not bad_faces(u, faces).any()
+        if clean:
+            best = Untangled(u, rounds, True)
+            # What is left is thin, not folded: a few rounds more may round it off.
+            max_rounds = min(max_rounds, rounds + _POLISHING)
+    return best if best.clean else Untangled(u, rounds, False)
+
+
+def _wrong_faces(
+    u: Float[np.ndarray, "n 3"],
+    faces: Int[np.ndarray, "m 3"],
+    thinness: float,
+    largest: float,
+) -> Bool[np.ndarray, " m"]:
+    """Bad and thin faces; bad ones alone where the thin ones are too large to be re-embedded."""
+    bad = bad_faces(u, faces)
+    wrong = bad | thin_faces(u, faces, thinness)
+    reached = np.zeros(len(u), dtype=bool)
+    reached[faces[wrong]] = True
+    return wrong if _covered(u, faces, reached) <= largest else bad
+
+
+def _covered(
+    u: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"], reached: Bool[np.ndarray, " n"]
+) -> float:
+    """Share of the sphere under the faces around some vertices, overlaps counted again."""
+    touched = reached[faces].any(axis=1)
+    return float(np.abs(spherical_areas(u, faces[touched])).sum() / (4 * np.pi))
 
 
 def thin_faces(
     sphere: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"], thinness: float
 ) -> Bool[np.ndarray, " m"]:
-    """Faces whose height is below `thinness` times their longest side."""
+    """Spherical triangles that are flat for their own size: |det(u_a, u_b, u_c)| ≤ ε · longest².
+
+    That is a height below ε times the longest side, or a plane almost through the centre.
+    """
     corners = sphere[faces]
     sides = corners[:, [1, 2, 0]] - corners
     longest = np.einsum("mki,mki->mk", sides, sides).max(axis=1)
-    twice_area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
-    return twice_area <= thinness * longest
+    volume = np.einsum("mi,mi->m", corners[:, 0], np.cross(sides[:, 0], sides[:, 1]))
+    return np.abs(volume) <= thinness * longest
 
 
-def _ring(
-    faces: Int[np.ndarray, "b 3"], adjacency: scipy.sparse.csr_matrix, width: int
-) -> Int[np.ndarray, " k"]:
-    reached = np.zeros(adjacency.shape[0])
-    reached[faces] = 1
-    for _ in range(width):
-        reached = np.minimum(reached + adjacency @ reached, 1)
-    return np.flatnonzero(reached)
-
-
-def _smoothed(
+def _patch(
     u: Float[np.ndarray, "n 3"],
+    faces: Int[np.ndarray, "m 3"],
+    wrong: Bool[np.ndarray, " m"],
+    adjacency: scipy.sparse.csr_matrix,
+    ring: int,
+    largest: float,
+) -> tuple[Int[np.ndarray, " k"], int]:
+    """Vertices within `ring` edges of the wrong faces, and the ring to take next time."""
+    reached = np.zeros(len(u), dtype=bool)
+    reached[faces[wrong]] = True
+    for width in range(ring):
+        wider = reached | (adjacency @ reached > 0)
+        if wider.all() or _covered(u, faces, wider) > largest:
+            # A rim beyond the hemisphere would turn the patch inside out: start narrow again.
+            return np.flatnonzero(reached), max(1, width // 2)
+        reached = wider
+    return np.flatnonzero(reached), ring + 1
+
+
+def harmonic_patch(
+    sphere: Float[np.ndarray, "n 3"],
     adjacency: scipy.sparse.csr_matrix,
     moving: Int[np.ndarray, " k"],
-    sweeps: int,
 ) -> Float[np.ndarray, "n 3"]:
-    u, rows = u.copy(), adjacency[moving]
-    for _ in range(sweeps):
-        mean = unit(rows @ u)
-        # Opposite neighbours cancel to no direction: such a vertex waits for the next sweep.
-        u[moving] = np.where(mean.any(axis=1, keepdims=True), mean, u[moving])
-    return u
+    """Put every moving vertex at the normalised mean of its neighbours, all others held.
+
+    Parameters
+    ----------
+    adjacency
+        Ones (n, n) between neighbours; at least one vertex must be held.
+    """
+    held = np.ones(len(sphere), dtype=bool)
+    held[moving] = False
+    rows = adjacency[moving]
+    laplacian = scipy.sparse.diags(np.asarray(rows.sum(axis=1)).reshape(-1)) - rows[:, moving]
+    moved = unit(SPDSolver(laplacian).solve(rows[:, held] @ sphere[held]))
+    result = sphere.copy()
+    # The mean of opposite points has no direction: such a vertex stays where it is.
+    result[moving] = np.where(moved.any(axis=1, keepdims=True), moved, sphere[moving])
+    return result

@@ -86,9 +86,18 @@ def test_hopeless_map_is_said_to_be_unclean():
 def test_thin_faces_are_relative_to_their_own_size():
     needle = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 1e-8, 0]])
     fat = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 0.9, 0]])
-    vertices = np.concatenate([needle, fat, 1e-9 * needle, 1e-9 * fat])
+    shapes = [1e-2 * needle, 1e-2 * fat, 1e-8 * needle, 1e-8 * fat]
+    vertices = unit(np.concatenate(shapes) + np.array([0.0, 0, 1]))
     faces = np.arange(12).reshape(4, 3)
     assert thin_faces(vertices, faces, 1e-7).tolist() == [True, False, True, False]
+
+
+def test_a_triangle_around_a_great_circle_is_thin():
+    angles = np.array([0, 2, 4]) * np.pi / 3
+    ring = np.stack([np.cos(angles), np.sin(angles), np.zeros(3)], axis=1)
+    faces = np.array([[0, 1, 2]])
+    assert thin_faces(ring, faces, 1e-7).all()
+    assert not thin_faces(unit(ring + np.array([0, 0, 0.1])), faces, 1e-7).any()
 
 
 def test_folded_prediction_becomes_a_refined_bijection(bumpy, rng):

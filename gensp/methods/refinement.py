@@ -1,0 +1,139 @@
+"""From a start on the sphere to the final map: as it is, or untangled and refined by Newton."""
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from gensp.errors import NotEmbeddable
+from gensp.geometry.mesh import Mesh, normalize
+from gensp.geometry.newton import Refined, refine_map
+from gensp.geometry.predicates import bad_faces, map_degree
+from gensp.geometry.refine import Untangled, untangle
+from gensp.geometry.sphere import unit
+from gensp.geometry.spherical_map import SphericalMap
+
+PREDICTION, SPREAD, UNTANGLED = "prediction", "spread", "untangled"
+
+
+@dataclass(frozen=True)
+class NoRefinement:
+    """The start is the map; its folded faces are counted, not repaired."""
+
+    def __call__(
+        self,
+        mesh: Mesh,
+        start: Float[np.ndarray, "n 3"],
+        target: Float[np.ndarray, "n 3"] | None = None,
+    ) -> SphericalMap:
+        """The map of a mesh in its own coordinates at unit positions `start`."""
+        u = unit(start)
+        bad = int(bad_faces(u, mesh.faces).sum())
+        numbers = {"seconds": 0.0, "rounds": 0, "iterations": 0, "bad_faces_start": bad}
+        return _finished(mesh, u, {"rung": PREDICTION, **numbers})
+
+
+@dataclass(frozen=True)
+class NewtonRefinement:
+    """Untangle the start, then minimise distortion without folding, pulled to the target.
+
+    Attributes
+    ----------
+    pull
+        γ, how strongly the map is held at the target; nothing pulls where there is no target.
+    floor
+        Faces smaller than this part of the mean area weigh as much as that in the energy. Weighed
+        by their true area, the smallest faces take the largest distortion; weighed all alike
+        (a large floor), the map would follow the density of the mesh and lose consistency.
+    max_iterations, tolerance
+        Of Newton's method.
+    crowding
+        In a start without folds, faces that hold less than this part of their share of the sphere
+        are spread out first.
+    rings
+        First widths of the untangled neighbourhoods, tried in turn until one leaves no fold.
+    """
+
+    pull: float = 30.0
+    floor: float = 0.3
+    max_iterations: int = 150
+    tolerance: float = 1e-4
+    crowding: float = 1e-2
+    rings: tuple[int, ...] = (2, 4, 8, 1)
+
+    def __call__(
+        self,
+        mesh: Mesh,
+        start: Float[np.ndarray, "n 3"],
+        target: Float[np.ndarray, "n 3"] | None = None,
+    ) -> SphericalMap:
+        """The refined map of a mesh in its own coordinates; it has no bad face.
+
+        Raises
+        ------
+        NotEmbeddable
+            The start could not be made free of folds.
+        """
+        began = time.perf_counter()
+        shape, u = normalize(mesh), unit(start)
+        bad = int(bad_faces(u, mesh.faces).sum())
+        untangled = self._untangled(shape, u, folded=bad > 0)
+        refined = self._minimised(shape, untangled.sphere, target)
+        moved = SPREAD if bad == 0 else UNTANGLED
+        return _finished(
+            mesh,
+            refined.sphere,
+            {
+                "rung": moved if untangled.rounds else PREDICTION,
+                "seconds": time.perf_counter() - began,
+                "rounds": untangled.rounds,
+                "iterations": refined.iterations,
+                "converged": refined.converged,
+                "bad_faces_start": bad,
+            },
+        )
+
+    def _untangled(self, mesh: Mesh, u: Float[np.ndarray, "n 3"], *, folded: bool) -> Untangled:
+        areas = None if folded else mesh.face_areas
+        for ring in self.rings:
+            untangled = untangle(
+                u, mesh.faces, areas=areas, crowding=self.crowding, first_ring=ring
+            )
+            if untangled.clean and abs(map_degree(untangled.sphere, mesh.faces)) == 1:
+                return untangled
+        left = int(bad_faces(untangled.sphere, mesh.faces).sum())
+        degree = map_degree(u, mesh.faces)
+        raise NotEmbeddable(
+            f"{mesh.name}: {left} of {len(mesh.faces)} faces stay folded after "
+            f"{untangled.rounds} rounds of untangling (degree of the start: {degree}); a map "
+            "without folds is required; try fit=register or a longer training for a closer start, "
+            "or keep the folded map with refine=none"
+        )
+
+    def _minimised(
+        self,
+        mesh: Mesh,
+        start: Float[np.ndarray, "n 3"],
+        target: Float[np.ndarray, "n 3"] | None,
+    ) -> Refined:
+        return refine_map(
+            mesh,
+            start,
+            target=target,
+            pull=0.0 if target is None else self.pull,
+            weights=np.maximum(1, self.floor * mesh.face_areas.mean() / mesh.face_areas),
+            max_iterations=self.max_iterations,
+            tolerance=self.tolerance,
+        )
+
+
+def _finished(
+    mesh: Mesh, sphere: Float[np.ndarray, "n 3"], diagnostics: dict[str, Any]
+) -> SphericalMap:
+    found = {
+        "bad_faces": int(bad_faces(sphere, mesh.faces).sum()),
+        "degree": map_degree(sphere, mesh.faces),
+    }
+    return SphericalMap(sphere, mesh.vertices, mesh.faces, mesh.name, {**diagnostics, **found})

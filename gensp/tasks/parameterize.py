@@ -1,0 +1,83 @@
+"""A spherical map of one shape, by any method."""
+
+import pickle
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gensp.compute import Row
+from gensp.data.shapes import ShapeCollection
+from gensp.files import save_npz
+from gensp.geometry.spherical_map import save_map
+from gensp.methods import SphericalParameterization
+
+MakeMethod = Callable[[], SphericalParameterization]
+
+
+@dataclass(frozen=True)
+class Parameterize:
+    """Map one shape and write `maps/<id>.npz`, `maps/<id>.ply` and `predictions/<id>.npz`.
+
+    Attributes
+    ----------
+    make
+        Makes the method; it travels to the workers in its place, and is called once in each.
+    """
+
+    collection: ShapeCollection
+    make: MakeMethod
+    folder: Path
+
+    def __call__(self, id: str) -> Row:
+        """Write the shape's files and give its row of diagnostics."""
+        mesh = self.collection.mesh(id)
+        map = _method(pickle.dumps(self.make))(mesh)
+        if map.arrays:
+            save_npz(self.folder / "predictions" / f"{id}.npz", **map.arrays)
+        save_map(map, self.folder / "maps")
+        numbers = {key: _plain(value) for key, value in map.diagnostics.items()}
+        shape = self.collection.shape(id)
+        return {"id": id, "split": shape.split, "vertices": len(mesh.vertices), **numbers}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        value = value.item()
+    return round(value, 6) if isinstance(value, float) else value
+
+
+# Keyed by what the method is made from: every item arrives in a worker as a new task.
+@lru_cache(maxsize=1)
+def _method(pickled: bytes) -> SphericalParameterization:
+    make: MakeMethod = pickle.loads(pickled)
+    return make()
+
+
+def parameterize_task(
+    inputs: Mapping[str, Any],
+    folder: Path,
+    *,
+    collection: ShapeCollection,
+    method: Callable[..., SphericalParameterization],
+) -> Parameterize:
+    """The work on one shape, for the items' DataModule.
+
+    Parameters
+    ----------
+    method
+        Makes the method; called with the trained networks' file if the method has any.
+    """
+    trained = inputs.get("finetune")
+    make = method if trained is None else partial(method, trained.folder / "model.pt")
+    return Parameterize(collection, make, Path(folder))
+
+
+def parameterize_items(
+    inputs: Mapping[str, Any], folder: Path, *, collection: ShapeCollection
+) -> list[str]:
+    """All usable shapes, those that no stage was trained on included."""
+    return collection.ids()

@@ -1,0 +1,113 @@
+import pickle
+
+import numpy as np
+import pytest
+
+from gensp.errors import NotEmbeddable
+from gensp.geometry.mesh import Mesh, normalize
+from gensp.geometry.predicates import bad_faces
+from gensp.geometry.sphere import icosphere, tangent_frame, unit
+from gensp.methods.cmcf import CMCF
+from gensp.methods.refinement import NewtonRefinement, NoRefinement
+
+
+def _folded(sphere, faces, rng, share=0.05):
+    folded = sphere.copy()
+    moved = rng.choice(len(sphere), int(share * len(sphere)), replace=False)
+    frames = tangent_frame(sphere[moved])
+    folded[moved] += 0.3 * np.einsum("nik,nk->ni", frames, rng.standard_normal((len(moved), 2)))
+    assert bad_faces(unit(folded), faces).any()
+    return unit(folded)
+
+
+def test_sphere_stays_a_sphere():
+    ball = icosphere(3)
+    map = CMCF(NewtonRefinement())(ball)
+    assert map.distortion().max < 1.05
+    assert map.diagnostics["bad_faces"] == 0
+
+
+def test_map_keeps_the_inputs_coordinates_and_order(bumpy):
+    moved = bumpy.with_vertices(7 * bumpy.vertices + 100)
+    map = CMCF(NewtonRefinement())(moved)
+    np.testing.assert_array_equal(map.surface, moved.vertices)
+    np.testing.assert_array_equal(map.faces, moved.faces)
+    np.testing.assert_allclose(np.linalg.norm(map.sphere, axis=1), 1)
+
+
+def test_refined_flow_of_a_limbed_shape_has_no_fold_and_little_distortion(limbed):
+    raw, refined = (CMCF(refine)(limbed) for refine in (NoRefinement(), NewtonRefinement()))
+    assert not refined.bad_faces().any()
+    assert refined.degree() == 1
+    assert refined.distortion().max < 0.1 * raw.distortion().max
+    assert refined.diagnostics["flow_steps"] > 5
+
+
+def test_map_is_invariant_under_similarities_up_to_rotation(bumpy, rng):
+    rotation = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    rotation *= np.linalg.det(rotation)
+    map = CMCF(NewtonRefinement())(bumpy)
+    moved = CMCF(NewtonRefinement())(bumpy.with_vertices(3 * bumpy.vertices @ rotation.T - 1))
+    np.testing.assert_allclose(moved.sphere, map.sphere @ rotation.T, atol=1e-5)
+
+
+def test_unrefined_map_counts_its_folds(bumpy, rng):
+    folded = _folded(unit(bumpy.vertices), bumpy.faces, rng)
+    map = NoRefinement()(bumpy, folded)
+    np.testing.assert_allclose(map.sphere, folded, atol=1e-15)
+    assert map.diagnostics["bad_faces"] == bad_faces(folded, bumpy.faces).sum() > 0
+    assert map.diagnostics["rung"] == "prediction"
+
+
+def test_folded_prediction_is_untangled_and_stays_near(bumpy, rng):
+    target = unit(bumpy.vertices)
+    folded = _folded(target, bumpy.faces, rng)
+    map = NewtonRefinement(pull=100.0)(bumpy, folded, target)
+    assert map.diagnostics["rung"] == "untangled"
+    assert map.diagnostics["bad_faces_start"] > 0
+    assert map.diagnostics["bad_faces"] == 0
+    assert map.degree() == 1
+    assert np.linalg.norm(map.sphere - target, axis=1).mean() < 0.1
+
+
+def test_crowded_start_is_spread(dumbbell):
+    start = unit(dumbbell.vertices)
+    # The left half is crowded into a cap of a thousandth of the sphere.
+    crowded = unit(np.where(start[:, :1] < 0, start * np.array([1, 0.02, 0.02]), start))
+    map = NewtonRefinement()(dumbbell, crowded)
+    assert map.diagnostics["bad_faces"] == 0
+    assert map.distortion().max < 10
+
+
+def test_floor_lowers_the_distortion_of_the_smallest_faces():
+    # A thorn on the sphere whose faces have a hundredth of the mean area.
+    ball = icosphere(3)
+    foot = ball.vertices[5]
+    away = np.linalg.norm(ball.vertices - foot, axis=1)[:, None]
+    height = 0.06 * np.maximum(0, 1 - away / 0.35)
+    tip = foot + 0.05 * (ball.vertices - foot) + height * foot
+    thorn = Mesh(np.where(away < 0.35, tip, ball.vertices), ball.faces, "thorn")
+    assert thorn.face_areas.min() < 0.01 * thorn.face_areas.mean()
+    by_area, floored = (
+        NewtonRefinement(floor=floor, tolerance=1e-7)(thorn, ball.vertices).distortion()
+        for floor in (0.0, 0.3)
+    )
+    assert floored.max < 0.95 * by_area.max
+    assert floored.mean < by_area.mean
+    assert floored.area_weighted_mean < 1.005 * by_area.area_weighted_mean
+
+
+def test_hopeless_start_is_an_error_in_one_line(bumpy):
+    shape = normalize(bumpy)
+    collapsed = np.repeat(unit(shape.vertices[:1]), len(shape.vertices), axis=0)
+    with pytest.raises(NotEmbeddable) as caught:
+        NewtonRefinement(rings=(2,))(bumpy, collapsed)
+    text = str(caught.value)
+    assert "\n" not in text
+    assert all(part in text for part in ("bumpy", "required", "refine=none"))
+
+
+def test_methods_travel_to_workers(bumpy):
+    method = CMCF(NewtonRefinement(max_iterations=3))
+    again = pickle.loads(pickle.dumps(method))
+    np.testing.assert_array_equal(again(bumpy).sphere, method(bumpy).sphere)
