@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from hydra import compose, initialize_config_dir
 
 ROOT = Path(__file__).parents[1]
 STAGES = (
@@ -38,6 +39,14 @@ def train(*words: str, code: int = 0) -> subprocess.CompletedProcess[str]:
     )
     assert done.returncode == code, done.stdout[-3000:] + done.stderr[-6000:]
     return done
+
+
+def run_here(*words: str) -> float | None:
+    """What train.py does, in this process: importing Lightning again costs seconds."""
+    from gensp.run import run
+
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        return run(compose("config", overrides=list(words)), words)
 
 
 def smoke_words(runs: Path) -> list[str]:

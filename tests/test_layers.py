@@ -26,11 +26,11 @@ ALLOWED = {
     "tables": CORE,
     "pictures": CORE | {"geometry", "tables"},
 }
-ALLOWED["comparison"] = CORE | {"geometry", "pictures", "tables", "runs"}
+ALLOWED["comparison"] = CORE | {"tables"}
 ALLOWED["data.modules"] = ALLOWED["data"] | {"runs", "data"}
 ALLOWED["data.training"] = ALLOWED["data"] | {"runs", "data"}
 ALLOWED["tasks"] = set(ALLOWED) - {"data.modules", "data.training"}
-ALLOWED["terminal"] = CORE | {"tables"}
+ALLOWED["terminal"] = CORE | {"tables", "comparison"}
 ALLOWED["stages"] = set(ALLOWED)
 ALLOWED["run"] = set(ALLOWED)
 

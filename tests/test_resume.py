@@ -8,8 +8,10 @@ import time
 from pathlib import Path
 
 import pytest
-from commands import ROOT, STAGES, command, environment, smoke_words, train
+from commands import ROOT, STAGES, command, environment, run_here, smoke_words
 from compare import different
+
+from gensp.runs import Run
 
 pytestmark = pytest.mark.slow
 
@@ -51,7 +53,7 @@ def test_a_killed_stage_goes_on(stage: str, smoke: Path, smoke_copy: Path) -> No
     assert begun(folder)
     assert not (folder / "manifest.json").exists(), "killed too late to be of use"
     kept = finished_items(folder)
-    train(*words)
+    run_here(*words)
     assert kept.items() <= finished_items(folder).items()
     assert different(folder, smoke / "smoke" / "full" / stage) == []
 
@@ -59,13 +61,12 @@ def test_a_killed_stage_goes_on(stage: str, smoke: Path, smoke_copy: Path) -> No
 def test_a_finished_stage_returns_at_once(smoke_copy: Path) -> None:
     folder = smoke_copy / "smoke" / "full" / "implicit"
     before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
-    done = train(*smoke_words(smoke_copy), "stage=implicit")
-    assert "finished before" in done.stdout
+    assert run_here(*smoke_words(smoke_copy), "stage=implicit") == Run(folder).headline
     assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
 
 
 def test_a_forced_stage_is_made_anew_and_equal(smoke: Path, smoke_copy: Path) -> None:
     folder = smoke_copy / "smoke" / "full" / "augment"
     (folder / "stray.txt").touch()
-    train(*smoke_words(smoke_copy), "stage=augment", "force=true")
+    run_here(*smoke_words(smoke_copy), "stage=augment", "force=true")
     assert different(folder, smoke / "smoke" / "full" / "augment") == []

@@ -6,7 +6,9 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from commands import ROOT, command, environment, smoke_words, train
+from commands import ROOT, command, environment, run_here, smoke_words, train
+
+from gensp.errors import MissingData, OutputError, StaleRun
 
 
 def complaint(*words: str) -> str:
@@ -24,7 +26,9 @@ def test_missing_stage_names_the_command(tmp_path: Path) -> None:
 
 
 def test_other_settings_are_named(smoke: Path) -> None:
-    line = complaint(*smoke_words(smoke), "stage=augment", "recipe.augment.samples=5")
+    with pytest.raises(StaleRun) as caught:
+        run_here(*smoke_words(smoke), "stage=augment", "recipe.augment.samples=5")
+    line = str(caught.value)
     assert "made with other settings (data.task.samples: " in line
     assert "→ 5" in line
     assert line.endswith("add force=true to make it anew, or name=NEW to keep both")
@@ -32,30 +36,31 @@ def test_other_settings_are_named(smoke: Path) -> None:
 
 def test_other_predecessor_is_named(smoke_copy: Path) -> None:
     words = (*smoke_words(smoke_copy), "recipe.augment.max_steps=55")
-    train(*words, "stage=augment", "force=true")
-    line = complaint(*words, "stage=implicit")
-    assert "inputs.augment: " in line
+    run_here(*words, "stage=augment", "force=true")
+    with pytest.raises(StaleRun, match=r"inputs\.augment: "):
+        run_here(*words, "stage=implicit")
 
 
 def test_missing_value_is_asked_for() -> None:
-    line = complaint("stage=augment", "shapes=folder")
-    assert line == (
-        "error: shapes.root: no value was given; one is required; add shapes.root=VALUE"
+    with pytest.raises(MissingData) as caught:
+        run_here("stage=augment", "shapes=folder")
+    assert str(caught.value) == (
+        "shapes.root: no value was given; one is required; add shapes.root=VALUE"
     )
 
 
 def test_mistyped_folder_leaves_no_trace(tmp_path: Path) -> None:
     words = (f"paths.runs={tmp_path / 'runs'}", "stage=augment", "shapes=folder")
-    assert "shapes.root=FOLDER" in complaint(*words, f"shapes.root={tmp_path / 'none'}")
+    with pytest.raises(MissingData, match=r"set shapes\.root=FOLDER"):
+        run_here(*words, f"shapes.root={tmp_path / 'none'}")
     assert not (tmp_path / "runs").exists()
 
 
 def test_place_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     words = ("experiment=smoke", f"paths.cache={tmp_path}/cache", "stage=augment")
-    line = complaint(*words, f"paths.runs={tmp_path}/file/runs")
-    assert "cannot be written (Not a directory)" in line
-    assert "paths.runs=FOLDER" in line
+    with pytest.raises(OutputError, match=r"cannot be written \(Not a directory\).*paths\.runs="):
+        run_here(*words, f"paths.runs={tmp_path}/file/runs")
 
 
 @pytest.mark.parametrize("stage", ["augment", "implicit"])
@@ -80,4 +85,5 @@ def test_full_disk(stage: str, smoke_copy: Path) -> None:
     left = [path for path in folder.rglob("*") if path.is_file()]
     assert all(path.stat().st_size < limit for path in left)
     assert not [path for path in left if path.name.startswith(".")]
-    train(*smoke_words(smoke_copy), f"stage={stage}", "workers.jobs=1", "logger=none")
+    run_here(*smoke_words(smoke_copy), f"stage={stage}", "workers.jobs=1", "logger=none")
+    assert (folder / "manifest.json").exists()

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from commands import STAGES, smoke_words, train
+from commands import STAGES, run_here, smoke_words
 
 
 def listing(folder: Path) -> dict[Path, int]:
@@ -14,18 +14,16 @@ def listing(folder: Path) -> dict[Path, int]:
 @pytest.mark.parametrize("stage", STAGES)
 def test_one_batch(stage: str, smoke: Path) -> None:
     before = listing(smoke)
-    done = train(*smoke_words(smoke), f"stage={stage}", "debug=fast")
+    run_here(*smoke_words(smoke), f"stage={stage}", "debug=fast")
     assert listing(smoke) == before
-    assert stage in done.stdout
-    assert "1/1" in done.stdout
 
 
 @pytest.mark.parametrize("words", [("fit=register",), ("method=cmcf",), ("refine=none",)])
 def test_one_map(words: tuple[str, ...], smoke: Path) -> None:
-    train(*smoke_words(smoke), "stage=parameterize", "debug=fast", *words)
+    run_here(*smoke_words(smoke), "stage=parameterize", "debug=fast", *words)
 
 
 @pytest.mark.parametrize("generator", ["direct", "flow"])
 def test_other_generators(generator: str, smoke: Path) -> None:
     words = ("stage=initialize", "debug=fast", f"model/generator={generator}")
-    train(*smoke_words(smoke), *words)
+    run_here(*smoke_words(smoke), *words)
