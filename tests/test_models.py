@@ -34,6 +34,7 @@ def generators() -> dict[str, Generator]:
     networks = {
         "direct": DirectGenerator(LATENT, **LAYERS),
         "difference": AnchoredGenerator(LATENT, form="difference", **LAYERS),
+        "blend": AnchoredGenerator(LATENT, form="blend", rank=3, **LAYERS),
         "linear": AnchoredGenerator(LATENT, form="linear", rank=3, **LAYERS),
         "flow": FlowGenerator(LATENT, rank=3, steps=3, **LAYERS),
     }
@@ -169,7 +170,7 @@ def test_generator_gives_points_of_the_callers_dtype(name: str) -> None:
     assert points.dtype == torch.float64
 
 
-@pytest.mark.parametrize("name", ["difference", "linear", "flow"])
+@pytest.mark.parametrize("name", ["blend", "difference", "linear", "flow"])
 def test_anchored_generators_are_the_sphere_at_zero(name: str) -> None:
     generator, p = generators()[name], sphere_points(2, 20).float()
     assert torch.equal(generator(torch.zeros(2, LATENT), p), p)
@@ -193,8 +194,10 @@ def test_jacobian_reaches_the_parameters(name: str) -> None:
     jacobian(
         generator, torch.randn(2, LATENT), sphere_points(2, 4).float()
     ).square().sum().backward()
-    grown = [p.grad is not None and p.grad.abs().sum() > 0 for p in generator.parameters()]
-    # The last bias shifts points and leaves the Jacobian of the plain forms alone.
+    trained = [p for p in generator.parameters() if p.requires_grad]
+    grown = [p.grad is not None and p.grad.abs().sum() > 0 for p in trained]
+    # The last bias shifts points and leaves the Jacobian of the plain forms alone; `difference`
+    # does without A.
     assert sum(grown) >= len(grown) - 1
 
 
@@ -207,11 +210,27 @@ def test_tangent_frame_equals_the_one_of_the_geometry() -> None:
 def test_latent_scale_gives_the_wanted_spread() -> None:
     codes = 30 + 0.1 * torch.randn(50, LATENT)
     generator = DirectGenerator(LATENT, **LAYERS)
-    generator.fit_latent_scale(codes, spread=2.0)
+    generator.fit_latents(codes, spread=2.0)
     scaled = generator.scaled(codes)
     assert (scaled - scaled.mean(0)).square().sum(1).mean().sqrt() == pytest.approx(2, rel=1e-4)
-    generator.fit_latent_scale(codes[:1])
+    generator.fit_latents(codes[:1])
     assert generator.latent_scale.isfinite()
+
+
+@pytest.mark.parametrize("name", ["blend", "linear", "flow"])
+def test_mixing_begins_with_the_mean_and_the_principal_axes(name: str) -> None:
+    codes = torch.randn(20, LATENT) * torch.tensor([3.0, 1, 0.5, 0.1, 0.1]) + 40
+    generator = generators()[name]
+    generator.fit_latents(codes, spread=2.0)
+    mixed = generator.mixing(generator.scaled(codes))
+    assert mixed[:, 0].mean().item() == pytest.approx(1, rel=1e-4)
+    centred = mixed - mixed.mean(dim=0)
+    covariance = centred.T @ centred / 20
+    assert covariance[1, 1] > covariance[2, 2] > 0
+    assert covariance[1, 2].abs() < 1e-3
+    # The axes are orthonormal and orthogonal to the mean.
+    frame = torch.nn.functional.normalize(generator.mixing.weight, dim=1)
+    torch.testing.assert_close(frame @ frame.T, torch.eye(3), rtol=0, atol=1e-4)
 
 
 def test_flow_does_not_fold_the_sphere() -> None:
@@ -229,7 +248,7 @@ def test_untrained_residual_generators_are_the_sphere_for_every_code() -> None:
 
 
 def test_unknown_form_is_refused() -> None:
-    with pytest.raises(Unsupported, match="'difference' or 'linear' is required"):
+    with pytest.raises(Unsupported, match="'linear' or 'difference' is required"):
         AnchoredGenerator(LATENT, form="additive", **LAYERS)
 
 

@@ -28,8 +28,8 @@ class Generator(Network):
         self.register_buffer("latent_scale", torch.ones(()))
 
     @torch.no_grad()
-    def fit_latent_scale(self, codes: Float[Tensor, "k d"], spread: float = 2.0) -> None:
-        """Scale codes so that their root mean square distance from their mean is `spread`."""
+    def fit_latents(self, codes: Float[Tensor, "k d"], spread: float = 2.0) -> None:
+        """Scale codes to lie `spread` from their mean, as root mean square; before training."""
         distance = (codes - codes.mean(dim=0)).square().sum(dim=1).mean().sqrt()
         if distance > 0:
             self.latent_scale.copy_(spread / distance)
@@ -61,7 +61,33 @@ class DirectGenerator(Generator):
         return self.trunk(self.scaled(z), p)
 
 
-class AnchoredGenerator(Generator):
+class MixingGenerator(Generator):
+    """Base of the generators that move points by W·(A z), and so not at all at z = 0."""
+
+    def __init__(self, settings: dict[str, Any], latent: int, rank: int) -> None:
+        super().__init__(settings)
+        self.mixing = nn.Linear(latent, rank, bias=False)
+
+    @torch.no_grad()
+    def fit_latents(self, codes: Float[Tensor, "k d"], spread: float = 2.0) -> None:
+        """Scale codes; let A begin with their mean, then their principal axes around it.
+
+        The first entry of A z is how far from the sphere a shape lies, about 1 for those given.
+        """
+        super().fit_latents(codes, spread)
+        codes = self.scaled(codes)
+        mean = codes.mean(dim=0)
+        if not mean.any():
+            return
+        away = codes - codes @ mean[:, None] * mean / mean.square().sum()
+        away = away - away.mean(dim=0)
+        axes = torch.linalg.svd(away, full_matrices=False)[2][: self.mixing.out_features - 1]
+        self.mixing.weight.zero_()
+        self.mixing.weight[0] = mean / mean.square().sum()
+        self.mixing.weight[1 : 1 + len(axes)] = axes
+
+
+class AnchoredGenerator(MixingGenerator):
     """A generator that is exactly the identity of the sphere at z = 0.
 
     Parameters
@@ -69,38 +95,42 @@ class AnchoredGenerator(Generator):
     latent
         Dimension of the code.
     form
-        `difference`: g = p + h(z, p) − h(0, p). `linear`: g = p + W(z, p)·(A z), one evaluation.
+        `blend`: g = p + W(a, p)·(A z), where W sees of the code only the first entry a of A z,
+        how far the shape is from the sphere; for collections too small to learn more.
+        `linear`: g = p + W(z, p)·(A z). `difference`: g = p + h(z, p) − h(0, p), twice the cost.
     rank
-        Number of rows of A, for `linear`.
+        Number of rows of A, for `blend` and `linear`.
     layers
         Width, depth, inject, octaves and activation of the `LatentMLP`.
     """
 
     def __init__(self, latent: int, *, form: str = "linear", rank: int = 8, **layers: Any) -> None:
-        super().__init__({"latent": latent, "form": form, "rank": rank, **layers})
-        if form not in ("difference", "linear"):
+        super().__init__({"latent": latent, "form": form, "rank": rank, **layers}, latent, rank)
+        if form not in ("blend", "linear", "difference"):
             raise Unsupported(
-                f"anchored generator: form '{form}' is unknown; 'difference' or 'linear' is "
-                "required; set model.generator.form"
+                f"anchored generator: form '{form}' is unknown; 'blend', 'linear' or 'difference' "
+                "is required; set recipe.model.generator.form"
             )
         self.form = form
-        outputs = 3 * rank if form == "linear" else 3
-        self.trunk = _starting_at_zero(LatentMLP(latent, 3, outputs, **layers))
-        if form == "linear":
-            self.mixing = nn.Linear(latent, rank, bias=False)
+        seen = 1 if form == "blend" else latent
+        outputs = 3 if form == "difference" else 3 * rank
+        self.trunk = _starting_at_zero(LatentMLP(seen, 3, outputs, **layers))
+        self.mixing.requires_grad_(form != "difference")
 
     def forward(
         self, z: Float[Tensor, "b d"], p: Float[Tensor, "b n 3"]
     ) -> Float[Tensor, "b n 3"]:
         """Surface points of the sphere points p."""
         z = self.scaled(z)
-        if self.form == "linear":
-            return p + _mix(self.trunk(z, p), self.mixing(z))
+        if self.form != "difference":
+            mixed = self.mixing(z)
+            seen = mixed[:, :1] if self.form == "blend" else z
+            return p + _mix(self.trunk(seen, p), mixed)
         # Bracketed: the difference is exactly zero at z = 0, the sum of three need not be p.
         return p + (self.trunk(z, p) - self.trunk(torch.zeros_like(z), p))
 
 
-class FlowGenerator(Generator):
+class FlowGenerator(MixingGenerator):
     """Sphere points carried along a velocity field for unit time.
 
     The velocity W(x, z, t)·(A z) vanishes at z = 0, and its flow cannot fold up to the error of
@@ -120,10 +150,10 @@ class FlowGenerator(Generator):
     """
 
     def __init__(self, latent: int, *, rank: int = 8, steps: int = 4, **layers: Any) -> None:
-        super().__init__({"latent": latent, "rank": rank, "steps": steps, **layers})
+        settings = {"latent": latent, "rank": rank, "steps": steps, **layers}
+        super().__init__(settings, latent, rank)
         self.steps = steps
         self.trunk = _starting_at_zero(LatentMLP(latent, 4, 3 * rank, **layers))
-        self.mixing = nn.Linear(latent, rank, bias=False)
 
     def forward(
         self, z: Float[Tensor, "b d"], p: Float[Tensor, "b n 3"]

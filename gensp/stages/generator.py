@@ -75,10 +75,10 @@ class InitializeStage(GeneratorStage):
         return cls(encoder=encoder, folder=folder, **numbers)
 
     def setup(self, stage: str) -> None:
-        """Encode all items; scale codes by the spread of the inputs among themselves."""
+        """Encode all items; scale codes by the spread of the inputs among each other."""
         super().setup(stage)
         inputs = [id for id in self.table.rows if id != SPHERE and "@" not in id]
-        self.generator.fit_latent_scale(self.table.of(inputs), self.latent_spread)
+        self.generator.fit_latents(self.table.of(inputs), self.latent_spread)
 
     def training_step(self, batch: CorrespondenceBatch, index: int) -> Tensor:
         """Eq. 10."""

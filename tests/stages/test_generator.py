@@ -107,7 +107,7 @@ def fit(
     return stage
 
 
-@pytest.mark.parametrize("form", ["direct", "difference", "linear", "flow"])
+@pytest.mark.parametrize("form", ["direct", "blend", "difference", "linear", "flow"])
 def test_correspondences_of_ellipsoids_are_learnt(tmp_path: Path, form: str) -> None:
     stage = fit(initialize_stage(tmp_path, form), correspondences(passes=15), 8)
     losses = [row["train/correspondence"] for row in stage.history]
