@@ -44,7 +44,8 @@ def row_path(folder: Path, item: str) -> Path:
 
 def stored_rows(folder: Path) -> list[Row]:
     """All rows below a folder, ordered by their item's name."""
-    return [read_json(path) for path in sorted((folder / "rows").glob("*.json"))]
+    # Names with a dot in front are halves that a killed run left.
+    return [read_json(path) for path in sorted((folder / "rows").glob("[!.]*.json"))]
 
 
 def finished_row(folder: Path, item: str) -> Row | None:

@@ -19,7 +19,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from gensp.errors import GenSPError, MissingData, OutputError, Unsupported
 from gensp.files import write_text
-from gensp.runs import Progress, Run, Runs, begin, clear, restart
+from gensp.runs import Progress, Run, Runs, begin, clear, restart, tidy
 from gensp.stages.callbacks import WholeCheckpoints
 from gensp.stages.session import carry_out, close, conclude, quiet, threads
 from gensp.terminal import announce, complain, say, show_variants
@@ -180,7 +180,10 @@ def _prepare(cfg: DictConfig, folder: Path, settings: Mapping[str, Any]) -> Prog
         return Progress.NOTHING
     if cfg.force and rank_zero_only.rank == 0:
         clear(folder)
-    return Progress.NOTHING if cfg.force else restart(folder, settings)
+    state = Progress.NOTHING if cfg.force else restart(folder, settings)
+    if state is Progress.SOME and rank_zero_only.rank == 0:
+        tidy(folder)
+    return state
 
 
 def _execute(

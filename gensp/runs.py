@@ -151,6 +151,13 @@ def begin(folder: Path, settings: Mapping[str, Any]) -> None:
     write_json(folder / SETTINGS, {"settings": _plain(settings)})
 
 
+def tidy(folder: Path) -> None:
+    """Remove the halves of files that a killed run left; see `gensp.files.atomic_path`."""
+    for path in folder.rglob(".*-*"):
+        if path.is_file():
+            path.unlink(missing_ok=True)
+
+
 def clear(folder: Path) -> None:
     """Remove a run; its seal first, so that a half-removed run never looks finished."""
     (folder / MANIFEST).unlink(missing_ok=True)

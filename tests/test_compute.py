@@ -8,6 +8,7 @@ import pytest
 
 from gensp.compute import Row, Workers, finished_row, row_path, run_items, stored_rows
 from gensp.errors import BadMesh, GenSPError, OutputError
+from gensp.runs import tidy
 
 ITEMS = ["a", "b@3", "c/d"]
 
@@ -71,6 +72,15 @@ def test_a_failed_item_is_a_row_and_is_tried_again(tmp_path: Path) -> None:
     list(run_items(Mark(tmp_path), ITEMS, tmp_path, Workers(1)))
     assert Mark(tmp_path).calls == ["a", "a", "b@3", "c/d"]
     assert finished_row(tmp_path, "a") is not None
+
+
+def test_halves_of_a_killed_run_are_no_rows(tmp_path: Path) -> None:
+    list(run_items(Mark(tmp_path), ITEMS, tmp_path, Workers(1)))
+    (tmp_path / "rows" / ".a-x1y2.json").write_text('{"id"')
+    assert [row["id"] for row in stored_rows(tmp_path)] == ITEMS
+    tidy(tmp_path)
+    assert not (tmp_path / "rows" / ".a-x1y2.json").exists()
+    assert len(stored_rows(tmp_path)) == len(ITEMS)
 
 
 def test_a_full_disk_ends_the_run(tmp_path: Path) -> None:

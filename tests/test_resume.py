@@ -36,11 +36,11 @@ def kill_in_the_middle(folder: Path, *words: str) -> None:
 
 
 def begun(folder: Path) -> bool:
-    return (folder / "checkpoints" / "last.ckpt").is_file() or any(folder.glob("rows/*.json"))
+    return (folder / "checkpoints" / "last.ckpt").is_file() or bool(finished_items(folder))
 
 
 def finished_items(folder: Path) -> dict[Path, int]:
-    return {path: path.stat().st_mtime_ns for path in folder.glob("rows/*.json")}
+    return {path: path.stat().st_mtime_ns for path in folder.glob("rows/[!.]*.json")}
 
 
 @pytest.mark.parametrize("stage", STAGES)
