@@ -12,7 +12,7 @@ ABLATIONS = ("full", "no_da", "no_gp", "no_gr")
 
 
 def test_all_ablations_by_one_command(smoke_copy: Path) -> None:
-    done = train(*smoke_words(smoke_copy), "-m", f"ablation={','.join(ABLATIONS)}")
+    done = train("-m", *smoke_words(smoke_copy), f"ablation={','.join(ABLATIONS)}")
     runs = smoke_copy / "smoke"
     made = {path.parent.relative_to(runs).as_posix() for path in runs.glob("*/*/manifest.json")}
     shared = {"no_da/augment", "no_gp/augment", "no_gp/implicit", "no_gr/augment"}
@@ -27,7 +27,7 @@ def test_all_ablations_by_one_command(smoke_copy: Path) -> None:
 
 
 def test_a_failed_job_stops_no_other(tmp_path: Path) -> None:
-    done = train(*smoke_words(tmp_path), "-m", "stage=correspond,augment", code=1)
+    done = train("-m", *smoke_words(tmp_path), "stage=correspond,augment", code=1)
     assert "'correspond' needs 'augment'" in done.stderr
     assert "Traceback" not in done.stderr
     assert (tmp_path / "smoke/full/augment/manifest.json").is_file()
