@@ -16,15 +16,20 @@ from torch.utils.data import DataLoader, Dataset, DistributedSampler
 from gensp.data.clouds import SurfaceSampler
 
 BatchT = TypeVar("BatchT")
+Drawn = tuple[str, int]  # a shape and the number of one of its clouds
 Key = tuple[int, int]
 
 
 # Lightning moves the tensors of a batch to the device in place and refuses frozen dataclasses.
 @dataclass
 class SdfBatch:
-    """Stage II: b shapes, their clouds, and n distance samples of each (negative inside)."""
+    """Stage II: b shapes, their clouds, and n distance samples of each (negative inside).
+
+    `drawn` names the clouds: which shape, which of its draws.
+    """
 
     ids: list[str]
+    drawn: list[Drawn]
     clouds: Float[Tensor, "b c 3"]
     points: Float[Tensor, "b n 3"]
     distances: Float[Tensor, "b n"]
@@ -34,10 +39,12 @@ class SdfBatch:
 class CorrespondenceBatch:
     """Stages III-b and IV: n icosphere vertices of each shape and where they belong on it.
 
-    `valid` tells which targets are known; `surface` are k area-uniform points of the shape.
+    `valid` tells which targets are known; `surface` are k area-uniform points of the shape;
+    `drawn` names the clouds.
     """
 
     ids: list[str]
+    drawn: list[Drawn]
     clouds: Float[Tensor, "b c 3"]
     sphere: Float[Tensor, "b n 3"]
     targets: Float[Tensor, "b n 3"]
@@ -52,12 +59,17 @@ class EpochDataset(Dataset[Any], Generic[BatchT]):
     ----------
     ids
         All items, S_0 first; S_0 is part of every batch and not counted.
+    clouds
+        Several draws (i, s, c, 3) of every item's cloud.
     passes
         How often an epoch goes through the items.
     """
 
-    def __init__(self, ids: Sequence[str], *, seed: int, passes: int = 1) -> None:
+    def __init__(
+        self, ids: Sequence[str], clouds: Float[Tensor, "i s c 3"], *, seed: int, passes: int = 1
+    ) -> None:
         self.ids = list(ids)
+        self.clouds = clouds
         self.seed = seed
         self.passes = passes
 
@@ -79,6 +91,11 @@ class EpochDataset(Dataset[Any], Generic[BatchT]):
             1, np.uint64
         )
         return torch.Generator().manual_seed(int(state[0]))
+
+    def draw_clouds(self, draws: Sequence[torch.Generator]) -> list[int]:
+        """Which of its clouds every item shows to the encoder."""
+        count = self.clouds.shape[1]
+        return [int(torch.randint(count, (), generator=generator)) for generator in draws]
 
     def batch(self, items: Sequence[int], draws: Sequence[torch.Generator]) -> BatchT:
         """Gather the given items, each with random numbers of its own."""
@@ -116,7 +133,7 @@ class SdfDataset(EpochDataset[SdfBatch]):
     def __init__(
         self,
         ids: Sequence[str],
-        clouds: Float[Tensor, "i c 3"],
+        clouds: Float[Tensor, "i s c 3"],
         points: Float[Tensor, "i s 3"],
         distances: Float[Tensor, "i s"],
         *,
@@ -124,18 +141,20 @@ class SdfDataset(EpochDataset[SdfBatch]):
         seed: int,
         passes: int = 1,
     ) -> None:
-        super().__init__(ids, seed=seed, passes=passes)
-        self.clouds, self.points, self.distances = clouds, points, distances
+        super().__init__(ids, clouds, seed=seed, passes=passes)
+        self.points, self.distances = points, distances
         self.count = count
 
     def batch(self, items: Sequence[int], draws: Sequence[torch.Generator]) -> SdfBatch:
         """Draw `count` samples of every item's pool."""
+        which = self.draw_clouds(draws)
         pool = self.points.shape[1]
         chosen = torch.stack([torch.randint(pool, (self.count,), generator=g) for g in draws])
         rows = torch.as_tensor(items)[:, None]
         return SdfBatch(
             ids=[self.ids[item] for item in items],
-            clouds=self.clouds[list(items)],
+            drawn=[(self.ids[item], draw) for item, draw in zip(items, which, strict=True)],
+            clouds=self.clouds[list(items), which],
             points=self.points[rows, chosen],
             distances=self.distances[rows, chosen],
         )
@@ -147,7 +166,7 @@ class CorrespondenceDataset(EpochDataset[CorrespondenceBatch]):
     def __init__(
         self,
         ids: Sequence[str],
-        clouds: Float[Tensor, "i c 3"],
+        clouds: Float[Tensor, "i s c 3"],
         sphere: Float[Tensor, "v 3"],
         targets: Float[Tensor, "i v 3"],
         valid: Bool[Tensor, "i v"],
@@ -158,13 +177,14 @@ class CorrespondenceDataset(EpochDataset[CorrespondenceBatch]):
         seed: int,
         passes: int = 1,
     ) -> None:
-        super().__init__(ids, seed=seed, passes=passes)
-        self.clouds, self.sphere, self.targets, self.valid = clouds, sphere, targets, valid
+        super().__init__(ids, clouds, seed=seed, passes=passes)
+        self.sphere, self.targets, self.valid = sphere, targets, valid
         self.surfaces = surfaces
         self.count, self.surface_count = min(count, len(sphere)), surface_count
 
     def batch(self, items: Sequence[int], draws: Sequence[torch.Generator]) -> CorrespondenceBatch:
         """Draw vertices without replacement, and surface points, for every item."""
+        which = self.draw_clouds(draws)
         total = len(self.sphere)
         chosen = torch.stack([torch.randperm(total, generator=g)[: self.count] for g in draws])
         rows = torch.as_tensor(items)[:, None]
@@ -174,7 +194,8 @@ class CorrespondenceDataset(EpochDataset[CorrespondenceBatch]):
         ]
         return CorrespondenceBatch(
             ids=[self.ids[item] for item in items],
-            clouds=self.clouds[list(items)],
+            drawn=[(self.ids[item], draw) for item, draw in zip(items, which, strict=True)],
+            clouds=self.clouds[list(items), which],
             sphere=self.sphere[chosen],
             targets=self.targets[rows, chosen],
             valid=self.valid[rows, chosen],

@@ -25,6 +25,14 @@ def point_cloud(mesh: Mesh, count: int, seed: int = 0) -> Float[np.ndarray, "cou
     return points.on(mesh.vertices, mesh.faces).astype(np.float32)
 
 
+def point_clouds(mesh: Mesh, count: int, draws: int) -> Float[np.ndarray, "draws count 3"]:
+    """Several independent clouds of a mesh; the mean of their codes is the code of the shape.
+
+    A single cloud's code varies as much as those of different people's heads.
+    """
+    return np.stack([point_cloud(mesh, count, seed) for seed in range(draws)])
+
+
 def sphere_cloud(count: int, seed: int = 0) -> Float[np.ndarray, "count 3"]:
     """The cloud of S_0: uniform points of the exact unit sphere."""
     generator = np.random.default_rng([count, seed])

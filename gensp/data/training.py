@@ -22,7 +22,7 @@ from gensp.data.batches import (
     SdfDataset,
     epoch_loader,
 )
-from gensp.data.clouds import SurfaceSampler, point_cloud, sphere_cloud
+from gensp.data.clouds import SurfaceSampler, point_clouds, sphere_cloud
 from gensp.data.items import item_mesh, training_items
 from gensp.data.sdf import SdfSampler, cached_samples, sample_path
 from gensp.data.shapes import SPHERE
@@ -49,8 +49,8 @@ class Batching:
         Area-uniform points of every shape (III-b, IV).
     passes
         How often one epoch goes through the items.
-    cloud
-        Points of the encoder's cloud.
+    cloud, draws
+        Points of the encoder's cloud, and number of clouds drawn of every shape.
     """
 
     size: int = 16
@@ -58,6 +58,7 @@ class Batching:
     surface_points: int = 0
     passes: int = 1
     cloud: int = 1024
+    draws: int = 1
 
 
 class FitModule(LightningDataModule):
@@ -68,7 +69,7 @@ class FitModule(LightningDataModule):
     ids
         All items of an epoch in fixed order, S_0 first.
     clouds
-        Their encoder clouds in that order.
+        Their encoder clouds in that order, several draws of each.
     """
 
     def __init__(self, meshes: Sequence[Mesh], *, batching: Batching, seed: int) -> None:
@@ -77,9 +78,10 @@ class FitModule(LightningDataModule):
         self.ids = [SPHERE, *(mesh.name for mesh in meshes)]
         self.batching = batching
         self.seed = seed
-        clouds = [point_cloud(mesh, batching.cloud) for mesh in meshes]
-        clouds.insert(0, sphere_cloud(batching.cloud))
-        self.clouds: Float[Tensor, "items c 3"] = torch.from_numpy(np.stack(clouds))
+        count, draws = batching.cloud, batching.draws
+        sphere = np.stack([sphere_cloud(count, draw) for draw in range(draws)])
+        clouds = [sphere, *(point_clouds(mesh, count, draws) for mesh in meshes)]
+        self.clouds: Float[Tensor, "items s c 3"] = torch.from_numpy(np.stack(clouds))
 
     @cached_property
     def _loaded(self) -> EpochDataset[Any]:

@@ -63,7 +63,7 @@ class Mesh:
         return Mesh(vertices, self.faces, self.name if name is None else name)
 
 
-def load_mesh(path: Path | str, *, max_faces: int | None = None) -> Mesh:
+def load_mesh(path: Path | str) -> Mesh:
     """Read a ply, obj, off or stl file; the vertex order of the file is kept.
 
     An stl file names no shared vertices, so its identical corners are merged.

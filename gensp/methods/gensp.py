@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from gensp.data.clouds import point_cloud
+from gensp.data.clouds import point_clouds
 from gensp.errors import Unsupported
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.refine import invert
@@ -38,6 +38,8 @@ class GenSP:
         Called with the mesh, a start and a target on the sphere (n, 3); gives the final map.
     points
         Size of the encoder's cloud.
+    draws
+        Number of clouds whose codes are averaged.
     """
 
     name = "gensp"
@@ -51,10 +53,11 @@ class GenSP:
         refine: Refinement,
         level: int = 6,
         points: int = 1024,
+        draws: int = 8,
     ) -> None:
         self.encoder, self.generator = encoder.eval(), generator.eval()
         self.fit, self.refine = fit, refine
-        self.level, self.points = level, points
+        self.level, self.points, self.draws = level, points, draws
 
     @classmethod
     def load(cls, path: Path | str, **settings: Any) -> Self:
@@ -75,9 +78,9 @@ class GenSP:
 
     @torch.no_grad()
     def encode(self, mesh: Mesh) -> Float[np.ndarray, " d"]:
-        """Latent code of a normalised mesh, from a cloud that depends on the mesh alone."""
-        cloud = torch.from_numpy(point_cloud(mesh, self.points))[None]
-        code: np.ndarray = self.encoder(cloud)[0].numpy()
+        """Latent code of a normalised mesh, from clouds that depend on the mesh alone."""
+        clouds = torch.from_numpy(point_clouds(mesh, self.points, self.draws))
+        code: np.ndarray = self.encoder(clouds).mean(dim=0).numpy()
         return code
 
     @torch.no_grad()
@@ -106,7 +109,8 @@ class GenSP:
             arrays={
                 **refined.arrays,
                 "predicted": predicted,
-                "generated": fitted.vertices,
+                "generated": generated.vertices,
+                "fitted": fitted.vertices,
                 "code": code,
             },
         )

@@ -196,6 +196,6 @@ class PointNet2Encoder(Network):
         return code - self.origin
 
     @torch.no_grad()
-    def set_origin(self, sphere: Float[Tensor, "1 n 3"]) -> None:
-        """Shift all codes so that the code of this cloud of S_0 becomes zero."""
-        self.origin.add_(self(sphere)[0])
+    def set_origin(self, sphere: Float[Tensor, "s n 3"]) -> None:
+        """Shift all codes so that the mean code of these clouds of S_0 becomes zero."""
+        self.origin.add_(self(sphere).mean(dim=0))

@@ -82,7 +82,7 @@ class EvaluateStage(ItemStage):
         ]
         summary["failed"] = self._failed()
         self._write(rows, pairs, summary)
-        self._draw(without_nan(summary))
+        self._draw(summary)
         return _metrics(summary["groups"])
 
     def _pairs(self, id: str) -> list[Record]:

@@ -47,7 +47,7 @@ class GeneratorStage(FitStage):
     def finish(self) -> dict[str, float]:
         """Put S_0 exactly at the origin; write the networks and the codes of all items."""
         items = self.trainer.datamodule
-        self.encoder.set_origin(items.clouds[:1].to(self.encoder.origin.device))
+        self.encoder.set_origin(items.clouds[0].to(self.encoder.origin.device))
         save_codes(
             self.folder / "latents.npz", items.ids, self.encode.all(items.ids, items.clouds)
         )
@@ -174,7 +174,7 @@ class FinetuneStage(GeneratorStage):
     def _codes(self, batch: CorrespondenceBatch) -> Tensor:
         if not self.train_encoder:
             return self.table.of(batch.ids)
-        codes = self.encode(batch.ids, batch.clouds)
+        codes = self.encode(batch.drawn, batch.clouds)
         codes = codes - codes[:1]
         self.table.update(batch.ids, codes)
         return codes

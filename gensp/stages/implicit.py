@@ -107,7 +107,7 @@ class ImplicitStage(FitStage):
 
     def training_step(self, batch: SdfBatch, index: int) -> Tensor:
         """Eq. 9 and the penalty that holds S_0 at the origin."""
-        absolute = self.encode(batch.ids, batch.clouds)
+        absolute = self.encode(batch.drawn, batch.clouds)
         codes = absolute - absolute[:1]
         self.table.update(batch.ids, codes)
         data = sdf_loss(self.field(codes, batch.points), batch.distances, self.norm)
@@ -185,7 +185,7 @@ class ImplicitStage(FitStage):
     def finish(self) -> dict[str, float]:
         """Put S_0 exactly at the origin; write the networks and the codes of all items."""
         items = self.trainer.datamodule
-        self.encoder.set_origin(items.clouds[:1].to(self.encoder.origin.device))
+        self.encoder.set_origin(items.clouds[0].to(self.encoder.origin.device))
         save_codes(
             self.folder / "latents.npz", items.ids, self.encode.all(items.ids, items.clouds)
         )

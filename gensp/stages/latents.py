@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from gensp.data.batches import Drawn
 from gensp.files import save_npz
 from gensp.geometry.correspondence import spanning_tree
 from gensp.models import Grouping, PointNet2Encoder
@@ -20,26 +21,32 @@ class CloudCodes:
 
     def __init__(self, encoder: PointNet2Encoder) -> None:
         self.encoder = encoder
-        self._groupings: dict[str, Grouping] = {}
+        self._groupings: dict[Drawn, Grouping] = {}
 
-    def __call__(self, ids: Sequence[str], clouds: Float[Tensor, "b c 3"]) -> Float[Tensor, "b d"]:
-        """Codes of the clouds of some items."""
-        codes: Tensor = self.encoder(clouds, self.grouping(ids, clouds))
+    def __call__(
+        self, drawn: Sequence[Drawn], clouds: Float[Tensor, "b c 3"]
+    ) -> Float[Tensor, "b d"]:
+        """Codes of some named clouds."""
+        codes: Tensor = self.encoder(clouds, self.grouping(drawn, clouds))
         return codes
 
-    def grouping(self, ids: Sequence[str], clouds: Float[Tensor, "b c 3"]) -> Grouping:
+    def grouping(self, drawn: Sequence[Drawn], clouds: Float[Tensor, "b c 3"]) -> Grouping:
         """The neighbourhoods of a batch, from the store where it has them."""
-        for id, cloud in zip(ids, clouds, strict=True):
-            if id not in self._groupings:
-                self._groupings[id] = self.encoder.group(cloud[None])
-        return Grouping.cat([self._groupings[id] for id in ids]).to(clouds.device)
+        for name, cloud in zip(drawn, clouds, strict=True):
+            if name not in self._groupings:
+                self._groupings[name] = self.encoder.group(cloud[None])
+        return Grouping.cat([self._groupings[name] for name in drawn]).to(clouds.device)
 
     @torch.no_grad()
-    def all(self, ids: Sequence[str], clouds: Float[Tensor, "i c 3"]) -> Float[Tensor, "i d"]:
-        """Codes e(S) − e(S_0) of all items, S_0 first, a batch at a time."""
+    def all(self, ids: Sequence[str], clouds: Float[Tensor, "i s c 3"]) -> Float[Tensor, "i d"]:
+        """Codes e(S) − e(S_0) of all items, S_0 first: means over the clouds of each."""
         clouds = clouds.to(self.encoder.origin.device)
-        parts = [slice(k, k + _BATCH) for k in range(0, len(ids), _BATCH)]
-        codes = torch.cat([self(ids[part], clouds[part]) for part in parts])
+        draws = clouds.shape[1]
+        names = [(id, draw) for id in ids for draw in range(draws)]
+        parts = [slice(k, k + _BATCH) for k in range(0, len(names), _BATCH)]
+        flat = clouds.flatten(0, 1)
+        codes = torch.cat([self(names[part], flat[part]) for part in parts])
+        codes = codes.unflatten(0, (len(ids), draws)).mean(dim=1)
         return codes - codes[:1]
 
 

@@ -65,7 +65,9 @@ def test_sdf_batches_hold_each_items_own_samples(sdf: SdfModule) -> None:
         assert batch.points.dtype == batch.distances.dtype == torch.float32
         assert torch.allclose(batch.points[0].norm(dim=1) - 1, batch.distances[0], atol=1e-6)
         for row, id in enumerate(batch.ids):
-            assert (batch.clouds[row] == sdf.clouds[sdf.ids.index(id)]).all()
+            drawn, draw = batch.drawn[row]
+            assert drawn == id
+            assert (batch.clouds[row] == sdf.clouds[sdf.ids.index(id), draw]).all()
 
 
 def test_draws_depend_on_seed_and_epoch_alone(sdf: SdfModule) -> None:

@@ -54,9 +54,17 @@ def test_draws_depend_on_seed_step_and_rank_alone() -> None:
 def test_stored_neighbourhoods_give_the_same_codes() -> None:
     torch.manual_seed(0)
     encoder = PointNet2Encoder(4, width=4, groups=((16, 4), (4, 4)))
-    clouds, ids = torch.randn(20, 40, 3), [str(k) for k in range(20)]
+    clouds, names = torch.randn(20, 40, 3), [(str(k // 2), k % 2) for k in range(20)]
     encode = CloudCodes(encoder)
     expected = encoder(clouds)
-    torch.testing.assert_close(encode(ids, clouds), expected)
-    torch.testing.assert_close(encode(ids[5:8], clouds[5:8]), expected[5:8])
-    torch.testing.assert_close(encode.all(ids, clouds), expected - expected[:1])
+    torch.testing.assert_close(encode(names, clouds), expected)
+    torch.testing.assert_close(encode(names[5:8], clouds[5:8]), expected[5:8])
+
+
+def test_a_shapes_code_is_the_mean_over_its_clouds() -> None:
+    torch.manual_seed(0)
+    encoder = PointNet2Encoder(4, width=4, groups=((16, 4), (4, 4)))
+    clouds, ids = torch.randn(10, 2, 40, 3), [str(k) for k in range(10)]
+    expected = (encoder(clouds[:, 0]) + encoder(clouds[:, 1])) / 2
+    found = CloudCodes(encoder).all(ids, clouds)
+    torch.testing.assert_close(found, expected - expected[:1])
