@@ -31,6 +31,8 @@ _TRAINER_SCIENCE = (
     "accumulate_grad_batches",
     "gradient_clip_val",
     "limit_train_batches",
+    "overfit_batches",
+    "fast_dev_run",
 )
 _FULL_OR_FORBIDDEN = {
     *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM),
@@ -145,11 +147,14 @@ def settings_of(cfg: DictConfig, inputs: Mapping[str, Run]) -> dict[str, Any]:
     bare.paths = {key: f"<{key}>" for key in cfg.paths}
     bare.workers = None
     trainer = OmegaConf.to_container(bare.trainer, resolve=True)
+    # Only stages whose work names the collection read its files; the others see it by `inputs`.
+    reads = "collection" in (cfg.data.get("task") or {})
     return {
         "stage": OmegaConf.to_container(bare.stage, resolve=True),
         "data": _without_workers(OmegaConf.to_container(bare.data, resolve=True)),
         "trainer": {key: trainer.get(key) for key in _TRAINER_SCIENCE},
         "seed": cfg.seed,
+        "shapes": _made(cfg.shapes).fingerprint if reads else None,
         "inputs": {name: found.digest for name, found in inputs.items()},
     }
 
@@ -166,8 +171,8 @@ def _without_workers(node: Any) -> Any:
 
 @contextmanager
 def _place(cfg: DictConfig, folder: Path) -> Iterator[Path]:
-    """The stage's folder, or one that is thrown away when only one batch is tried."""
-    if not cfg.trainer.get("fast_dev_run"):
+    """The stage's folder, or with keep=false one that is thrown away."""
+    if cfg.keep:
         yield folder
         return
     with tempfile.TemporaryDirectory(prefix="gensp-") as scratch:
@@ -176,7 +181,7 @@ def _place(cfg: DictConfig, folder: Path) -> Iterator[Path]:
 
 def _prepare(cfg: DictConfig, folder: Path, settings: Mapping[str, Any]) -> Progress:
     """The restart rule, on a folder that rank zero alone may change."""
-    if cfg.trainer.get("fast_dev_run"):
+    if not cfg.keep:
         return Progress.NOTHING
     if cfg.force and rank_zero_only.rank == 0:
         clear(folder)
@@ -207,7 +212,7 @@ def _execute(
         logger.log_hyperparams(OmegaConf.to_container(cfg, resolve=True))
     try:
         carry_out(trainer, cfg.stage.verb, module, data, resume=state is Progress.SOME)
-        if trainer.fast_dev_run:
+        if not cfg.keep:
             return None
         return conclude(trainer, module, settings=settings, inputs=inputs, began=began)
     finally:

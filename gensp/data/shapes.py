@@ -5,6 +5,7 @@ correspondence files; without one, every ply, obj, off and stl file is a shape.
 """
 
 import csv
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,6 +18,7 @@ from gensp.data.blobs import BlobFamily, generate_blobs
 from gensp.data.ground_truth import GroundTruth, load_ground_truth, load_keypoints
 from gensp.data.validation import MAX_FACES, checked
 from gensp.errors import MissingData, Unsupported
+from gensp.files import content_hash
 from gensp.geometry.mesh import FORMATS, Mesh, load_mesh
 
 SPLITS = ("train", "val", "test")
@@ -140,6 +142,15 @@ class ShapeCollection:
     def _identity(self) -> tuple[Any, ...]:
         return self.name, tuple(self._shapes.values()), self._keypoint_file
 
+    @cached_property
+    def fingerprint(self) -> str:
+        """Changes with any shape's file, split or ground truth: results belong to one of them."""
+        files = [
+            (s.id, s.split, _digest(s.path), _digest(s.correspondence))
+            for s in self._shapes.values()
+        ]
+        return content_hash(self.name, files, _digest(self._keypoint_file))
+
     def ids(self, *splits: str) -> list[str]:
         """Ids of the given splits (all without arguments), in the collection's order."""
         return [s.id for s in self._shapes.values() if not splits or s.split in splits]
@@ -257,3 +268,7 @@ def _with_split(shapes: list[Shape], test_fraction: float, seed: int) -> list[Sh
         replace(shape, split="test" if index in test else "train")
         for index, shape in enumerate(shapes)
     ]
+
+
+def _digest(path: Path | None) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path is not None else ""

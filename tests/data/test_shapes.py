@@ -16,6 +16,7 @@ from gensp.data.shapes import ShapeCollection
 from gensp.errors import MissingData, Unsupported
 from gensp.geometry.mesh import Mesh, save_mesh
 from gensp.geometry.points import sample_surface
+from gensp.geometry.sphere import icosphere
 
 EMBEDDED = Path(__file__).parents[2] / "data"
 
@@ -186,3 +187,12 @@ def test_equal_collections_are_equal(folder: Path) -> None:
     assert one == other
     assert hash(one) == hash(other)
     assert one != ShapeCollection.from_folder(folder, test_fraction=0.5)
+
+
+def test_fingerprint_follows_the_content_of_the_files(tmp_path: Path) -> None:
+    ball = icosphere(1)
+    save_mesh(ball, tmp_path / "one.ply")
+    first = ShapeCollection.from_folder(tmp_path, name="few").fingerprint
+    assert ShapeCollection.from_folder(tmp_path, name="few").fingerprint == first
+    save_mesh(ball.with_vertices(1.01 * ball.vertices), tmp_path / "one.ply")
+    assert ShapeCollection.from_folder(tmp_path, name="few").fingerprint != first
