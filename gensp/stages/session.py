@@ -31,6 +31,8 @@ def quiet() -> None:
     """Leave out Lightning's remarks on what is meant to be so here."""
     for name in ("lightning.pytorch", "lightning.fabric", "lightning"):
         logging.getLogger(name).setLevel(logging.WARNING)
+    # What debug=profile asks for is printed at the end, as information.
+    logging.getLogger("lightning.pytorch.profilers").setLevel(logging.INFO)
     for remark in _MEANT_TO_BE_SO:
         warnings.filterwarnings("ignore", remark)
 
