@@ -105,8 +105,10 @@ def coverage_loss(
     """Beside Eq. 11: mean squared distance of points of the shape to the generated surface.
 
     Eq. 11 alone lets limbs retract, for nothing pulls the surface out to their tips. `faces`
-    triangulates the generated points.
+    triangulates the generated points. Without samples it is zero.
     """
+    if samples.shape[1] == 0:
+        return generated.new_zeros(())
     terms = []
     for points, vertices, positions in zip(samples, generated, _double(generated), strict=True):
         at = ClosestPointTree(Mesh(positions, faces)).query(_double(points)).at

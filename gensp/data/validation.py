@@ -66,14 +66,16 @@ def checked(
 
 def _verdict(path: Path, max_faces: int, passed: set[str]) -> str | None:
     """Reason to reject a file, in one line, or nothing."""
-    digest = _digest(path, max_faces)
-    if digest in passed:
-        return None
     try:
+        digest = _digest(path, max_faces)
+        if digest in passed:
+            return None
         mesh = load_mesh(path)
         require_genus_zero(replace(mesh, name=str(path)), max_faces=max_faces)
     except BadMesh as error:
         return " ".join(str(error).split())
+    except OSError as error:
+        return f"{path}: cannot be opened ({error.strerror}); a readable file is required"
     passed.add(digest)
     return None
 

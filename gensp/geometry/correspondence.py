@@ -84,7 +84,7 @@ def spanning_tree(codes: Float[np.ndarray, "k d"], root: int, kind: str = "minim
     else:
         raise Unsupported(
             f"tree kind '{kind}' is unknown; minimum, shortest or star is required; "
-            "set stage.module.tree"
+            "set recipe.correspond.tree"
         )
     parent = np.array(parent, dtype=np.int64)
     parent[root] = _NO_PARENT

@@ -61,7 +61,8 @@ class AugmentStage(ItemStage):
         rows = [row for row in self.rows if not row.get("error")]
         rows = self._judged(rows)
         items = [entry for row in rows for entry in self._items(row)]
-        write_table(self.folder / "flows.csv", rows)
+        failed = [row for row in self.rows if row.get("error")]
+        write_table(self.folder / "flows.csv", [*rows, *failed])
         self._write_skipped()
         write_json(self.folder / "items.json", items)
         samples = sum(entry["kind"] == "augmented" for entry in items)

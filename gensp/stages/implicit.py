@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from gensp.data.batches import SdfBatch
-from gensp.errors import EmptyLevelSet
+from gensp.errors import BadMesh, EmptyLevelSet
 from gensp.geometry.levelset import extract_surface
 from gensp.geometry.reduced import Cover, deformation_cover
 from gensp.losses import encoder_penalty, implicit_deformation, origin_penalty, sdf_loss
@@ -117,15 +117,16 @@ class ImplicitStage(FitStage):
         self.log_losses(data=data, latents=latents, origin=origin)
         if self.geometric_regularization and self.current_epoch >= self.regularize_from_epoch:
             deformation = self._deformation()
-            loss = loss + self.deformation_weight * deformation
-            self.log_losses(deformation=deformation)
+            if deformation is not None:
+                loss = loss + self.deformation_weight * deformation
+                self.log_losses(deformation=deformation)
         return loss
 
     def _weights(self) -> Tensor:
         return torch.cat([weight.flatten() for weight in self.encoder.parameters()])
 
-    def _deformation(self) -> Tensor:
-        """Eq. 5 at one of the kept level sets."""
+    def _deformation(self) -> Tensor | None:
+        """Eq. 5 at one of the kept level sets; none while the field has no level set."""
         generator = draws(self.seed, self.global_step, self.global_rank)
         if self.global_step - self.extracted >= self.sampling.every:
             self.table.join_neighbours()
@@ -133,7 +134,7 @@ class ImplicitStage(FitStage):
             self.level_sets = [s for s in map(self._level_set, codes) if s is not None]
             self.extracted = self.global_step
         if not self.level_sets:
-            return torch.zeros((), device=self.device)
+            return None
         chosen = int(torch.randint(len(self.level_sets), (), generator=generator))
         directions = torch.randn(
             (self.sampling.directions, self.encoder.latent), generator=generator
@@ -141,9 +142,9 @@ class ImplicitStage(FitStage):
         level_set = self.level_sets[chosen]
         return implicit_deformation(
             self.field.rowwise,
-            level_set.z,
-            level_set.points,
-            level_set.cover,
+            level_set.z.to(self.device),
+            level_set.points.to(self.device),
+            level_set.cover.to(self.device),
             torch.nn.functional.normalize(directions, dim=1).to(self.device),
             self.sampling.scale_weight,
         )
@@ -159,7 +160,7 @@ class ImplicitStage(FitStage):
                 require_genus_zero=False,
                 device=self.device,
             )
-        except EmptyLevelSet:
+        except (EmptyLevelSet, BadMesh):
             return None
         points = torch.from_numpy(mesh.vertices).to(z)
         return LevelSet(z, points, deformation_cover(points, self.sampling.nodes))

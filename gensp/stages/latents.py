@@ -35,7 +35,8 @@ class CloudCodes:
         for name, cloud in zip(drawn, clouds, strict=True):
             if name not in self._groupings:
                 self._groupings[name] = self.encoder.group(cloud[None])
-        return Grouping.cat([self._groupings[name] for name in drawn]).to(clouds.device)
+        # Lightning moves networks to the CPU when a fit ends: neighbourhoods follow the clouds.
+        return Grouping.cat([self._groupings[name].to(clouds.device) for name in drawn])
 
     @torch.no_grad()
     def all(self, ids: Sequence[str], clouds: Float[Tensor, "i s c 3"]) -> Float[Tensor, "i d"]:

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from gensp.compute import Row
 from gensp.data.items import item_mesh
 from gensp.data.shapes import SPHERE
-from gensp.errors import EmptyLevelSet, NotGenusZero, RegistrationFailed
+from gensp.errors import BadMesh, EmptyLevelSet, RegistrationFailed
 from gensp.files import load_npz, save_npz
 from gensp.geometry.correspondence import Tree, ancestors, spanning_tree
 from gensp.geometry.mesh import Mesh
@@ -141,7 +141,7 @@ class RegisterEdge:
         for share in np.arange(1, count + 1) / (count + 1):
             try:
                 surface = self._surface((1 - share) * first + share * last, 1.25 * extent)
-            except (EmptyLevelSet, NotGenusZero):
+            except (EmptyLevelSet, BadMesh):
                 continue
             meshes.append(surface)
         return meshes

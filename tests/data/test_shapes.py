@@ -196,3 +196,22 @@ def test_fingerprint_follows_the_content_of_the_files(tmp_path: Path) -> None:
     assert ShapeCollection.from_folder(tmp_path, name="few").fingerprint == first
     save_mesh(ball.with_vertices(1.01 * ball.vertices), tmp_path / "one.ply")
     assert ShapeCollection.from_folder(tmp_path, name="few").fingerprint != first
+
+
+def test_file_that_cannot_be_opened_is_one_line(tmp_path: Path, monkeypatch) -> None:
+    save_mesh(icosphere(1), tmp_path / "one.ply")
+    save_mesh(icosphere(1), tmp_path / "two.ply")
+    read = Path.read_bytes
+
+    def refused(path: Path) -> bytes:
+        if path.name == "one.ply":
+            raise PermissionError(13, "Permission denied")
+        return read(path)
+
+    # Permissions do not bind a superuser, so the refusal is simulated.
+    monkeypatch.setattr(Path, "read_bytes", refused)
+    collection = ShapeCollection.from_folder(tmp_path, on_bad="skip")
+    assert collection.ids() == ["two"]
+    ((name, reason),) = collection.skipped
+    assert name == "one"
+    assert "one.ply: cannot be opened (Permission denied)" in reason
