@@ -19,6 +19,8 @@ STAGES = (
     "parameterize",
     "evaluate",
 )
+# A crash in compiled code says where it was.
+_FAULTS = {"PYTHONFAULTHANDLER": "1"}
 _RANKS = ("RANK", "LOCAL_RANK", "WORLD_SIZE", "LOCAL_WORLD_SIZE", "NODE_RANK", "MASTER_PORT")
 
 
@@ -29,7 +31,7 @@ def command(*words: str) -> list[str]:
 def environment() -> dict[str, str]:
     """One thread, and nothing of an outer launcher."""
     kept = {name: value for name, value in os.environ.items() if name not in _RANKS}
-    return {**kept, "OMP_NUM_THREADS": "1", "IGL_NUM_THREADS": "1", "COLUMNS": "200"}
+    return {**kept, "OMP_NUM_THREADS": "1", "IGL_NUM_THREADS": "1", "COLUMNS": "200", **_FAULTS}
 
 
 def train(*words: str, code: int = 0) -> subprocess.CompletedProcess[str]:
@@ -37,7 +39,8 @@ def train(*words: str, code: int = 0) -> subprocess.CompletedProcess[str]:
     done = subprocess.run(
         command(*words), cwd=ROOT, env=environment(), capture_output=True, text=True, timeout=590
     )
-    assert done.returncode == code, done.stdout[-3000:] + done.stderr[-6000:]
+    said = f"exit code {done.returncode}\n{done.stdout[-3000:]}{done.stderr[-6000:]}"
+    assert done.returncode == code, said
     return done
 
 
