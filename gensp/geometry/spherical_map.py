@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from gensp.errors import UnreadableMesh
 from gensp.files import atomic_path, load_npz, save_npz
+from gensp.geometry.certificate import Certificate, certify
 from gensp.geometry.distortion import Distortion, distortion
 from gensp.geometry.location import SphereLocator
 from gensp.geometry.mesh import Mesh
@@ -74,6 +75,10 @@ class SphericalMap:
     def degree(self) -> int:
         """Map degree; 1 or -1 together with no bad face means bijective."""
         return map_degree(self.sphere, self.faces)
+
+    def certify(self) -> Certificate:
+        """Proof that the map is bijective, or the faces at fault."""
+        return certify(self.sphere, self.faces)
 
     def distortion(self) -> Distortion:
         """Isometric and conformal distortion (paper §5.1)."""
