@@ -1,0 +1,262 @@
+"""Hierarchical spherical embedding: from a tetrahedron to the whole surface, without a fold.
+
+A surface is collapsed to a tetrahedron, the tetrahedron is put on the sphere, and the vertices
+come back one by one, each into the kernel of its ring, so that every map on the way is bijective
+(Praun & Hoppe 2003; Hu, Fu & Liu 2017; Schmidt et al. 2023). Vertices are relaxed as they come;
+whenever the map has grown enough it is relaxed as a whole.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from numba import njit
+
+from gensp.errors import NotEmbeddable
+from gensp.geometry.alignment import best_rotation
+from gensp.geometry.decimation import BASE, Collapses, decimate
+from gensp.geometry.energies import ENERGIES
+from gensp.geometry.halfedges import ring, split
+from gensp.geometry.mesh import SPHERE_AREA, Mesh
+from gensp.geometry.predicates import bad_faces, spherical_orientation
+from gensp.geometry.relaxation import insert_vertex, relax_vertex
+from gensp.geometry.sphere import unit
+
+_TETRAHEDRON = unit(np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]))
+_STILL = 1e-3  # of the mean edge: vertices that their ring moved by less are not visited
+
+Polish = Callable[[Mesh, Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]], Float[np.ndarray, "n 3"]]
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """How an embedding is relaxed while it grows.
+
+    Attributes
+    ----------
+    energy
+        Of `energies.ENERGIES`.
+    floor
+        Triangles smaller than this part of the mean area weigh as much as that; large values weigh
+        all triangles alike.
+    growth
+        The whole map is relaxed whenever it has this many times the vertices.
+    passes
+        Passes over all vertices at each such time.
+    polish
+        Sizes (in vertices) at which `embed`'s polish is called on the coarse map.
+    """
+
+    energy: str = "dirichlet"
+    floor: float = 0.3
+    growth: float = 1.4
+    passes: int = 3
+    polish: tuple[int, ...] = (400, 3000, 20_000)
+
+
+def embed(
+    mesh: Mesh,
+    *,
+    schedule: Schedule | None = None,
+    target: Float[np.ndarray, "n 3"] | None = None,
+    pull: Float[np.ndarray, " n"] | float = 0.0,
+    polish: Polish | None = None,
+) -> Float[np.ndarray, "n 3"]:
+    """Unit positions (n, 3) of a bijective map of a closed genus-0 mesh at area 4π.
+
+    Parameters
+    ----------
+    target, pull
+        Unit positions and weights γ_i ≥ 0 of Σ γ_i M_i ‖u_i − target_i‖², which guides every
+        insertion and relaxation; vertices of weight zero go where the energy sends them.
+    polish
+        Called with a coarse mesh, its map, and the indices of its vertices in `mesh`; gives the
+        improved map, free of bad faces.
+
+    Raises
+    ------
+    NotEmbeddable
+        A vertex has no place in double precision; the message names it.
+    """
+    schedule = schedule or Schedule()
+    goals = np.zeros_like(mesh.vertices) if target is None else unit(target)
+    pulls = np.zeros(len(mesh.vertices)) if target is None else np.broadcast_to(pull, len(goals))
+    growing = _Growing(mesh, decimate(mesh), schedule, goals, np.ascontiguousarray(pulls, float))
+    sizes = [size for size in schedule.polish if BASE < size < 0.7 * len(mesh.vertices)]
+    while not growing.whole:
+        growing.grow(sizes[0] if sizes else len(mesh.vertices))
+        if polish is not None and sizes and growing.count >= sizes[0]:
+            growing.improve(polish)
+            sizes.pop(0)
+    return growing.finished()
+
+
+class _Growing:
+    """A map that grows from the tetrahedron."""
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        collapses: Collapses,
+        schedule: Schedule,
+        goals: Float[np.ndarray, "n 3"],
+        pulls: Float[np.ndarray, " n"],
+    ) -> None:
+        self.mesh, self.schedule, self.goals, self.pulls = mesh, schedule, goals, pulls
+        self.halfedges, self.base = collapses.halfedges, collapses.base
+        self.order = np.ascontiguousarray(collapses.order[::-1])
+        self.inserted = 0
+        count = len(mesh.vertices)
+        self.moved = np.zeros(count)
+        self.work = (np.empty(count, np.int64), np.empty(count, np.int64), np.empty((count, 8)))
+        self.u = np.zeros((count, 3))
+        self.u[self.base] = self._tetrahedron()
+
+    @property
+    def count(self) -> int:
+        """Vertices on the sphere so far."""
+        return BASE + self.inserted
+
+    @property
+    def whole(self) -> bool:
+        """Whether every vertex is on the sphere."""
+        return self.inserted == len(self.order)
+
+    def faces(self) -> Int[np.ndarray, "m 3"]:
+        """Triangles of the map so far."""
+        alive = np.ones(len(self.mesh.faces), dtype=bool)
+        gone = self.order[self.inserted :]
+        alive[gone // 3] = alive[self.halfedges.twin[gone] // 3] = False
+        return self.halfedges.origin.reshape(-1, 3)[alive]
+
+    def grow(self, limit: int) -> None:
+        """Insert vertices up to the next general relaxation, or to `limit` vertices, and relax."""
+        wanted = min(limit, int(np.ceil(self.count * self.schedule.growth)))
+        settings = self._settings()
+        while self.count < wanted:
+            reached = _insert(
+                self.order, self.inserted, wanted - BASE, *self._arrays(), *settings, *self.work
+            )
+            if reached == self.inserted:
+                self._fail()
+            self.inserted = reached
+        self._relax(self.schedule.passes if self.count > 300 else 4 * self.schedule.passes)
+
+    def improve(self, polish: Polish) -> None:
+        """Hand the coarse map to `polish`."""
+        faces = self.faces()
+        used = np.unique(faces)
+        place = np.full(len(self.mesh.vertices), -1)
+        place[used] = np.arange(len(used))
+        coarse = Mesh(self.mesh.vertices[used], place[faces], self.mesh.name)
+        grown = np.sqrt(SPHERE_AREA / coarse.area)
+        coarse = replace(coarse, vertices=coarse.vertices * grown)
+        self.u[used] = polish(coarse, self.u[used], used)
+
+    def finished(self) -> Float[np.ndarray, "n 3"]:
+        """The map of the whole mesh."""
+        bad = bad_faces(self.u, self.mesh.faces)
+        if bad.any():
+            raise NotEmbeddable(
+                f"{self.mesh.name}: {int(bad.sum())} faces (first: {int(np.argmax(bad))}) have no "
+                "area on the sphere in double precision; remesh the surface there"
+            )
+        return self.u
+
+    def _tetrahedron(self) -> Float[np.ndarray, "4 3"]:
+        """A regular tetrahedron for the base, turned the right way round and to its goals."""
+        place = {int(v): k for k, v in enumerate(self.base)}
+        faces = np.array([[place[int(v)] for v in face] for face in self.faces()])
+        corners = _TETRAHEDRON.copy()
+        if spherical_orientation(corners, faces)[0] < 0:
+            corners = corners[[1, 0, 2, 3]]
+        weights = self.pulls[self.base]
+        if weights.sum() > 0:
+            corners = corners @ best_rotation(corners, self.goals[self.base], weights).T
+        return corners
+
+    def _arrays(self) -> tuple[np.ndarray, ...]:
+        edges = self.halfedges
+        return (self.mesh.vertices, self.u, edges.origin, edges.twin, edges.leaving, self.moved)
+
+    def _settings(self) -> tuple:
+        faces = self.faces()
+        scale = SPHERE_AREA / Mesh(self.mesh.vertices, faces).area
+        least = self.schedule.floor * SPHERE_AREA / len(faces)
+        share = SPHERE_AREA / self.count
+        return scale, least, ENERGIES[self.schedule.energy], self.pulls * share, self.goals
+
+    def _relax(self, passes: int) -> None:
+        active = np.unique(self.faces())
+        still = _STILL * np.sqrt(SPHERE_AREA / self.count)
+        settings = self._settings()
+        for _ in range(passes):
+            _sweep(active, still, *self._arrays(), *settings, *self.work)
+
+    def _fail(self) -> None:
+        h = int(self.order[self.inserted])
+        vertex = int(self.halfedges.origin[h])
+        raise NotEmbeddable(
+            f"{self.mesh.name}: vertex {vertex} finds no place on the sphere in double precision "
+            f"(after {self.count} of {len(self.mesh.vertices)} vertices); remesh the surface near "
+            f"{np.round(self.mesh.vertices[vertex], 4).tolist()}"
+        )
+
+
+@njit(cache=True)
+def _relax_at(
+    i, steps, x, u, origin, twin, leaving, moved, scale, least, energy, pulls, goals, around, star
+):  # type: ignore[no-untyped-def]
+    size = ring(leaving[i], origin, twin, around)
+    away = relax_vertex(
+        i, around, size, x, u, scale, least, energy, pulls[i], goals[i], steps, star
+    )
+    for k in range(size):
+        moved[around[k]] += away
+    return away
+
+
+@njit(cache=True)
+def _insert(
+    order, first, last, x, u, origin, twin, leaving, moved, scale, least, energy, pulls, goals,
+    around, other, star,
+):  # type: ignore[no-untyped-def]  # fmt: skip
+    """Insert order[first:last]; gives where it stopped, earlier than `last` if one has no place."""
+    for k in range(first, last):
+        h = order[k]
+        i = origin[h]
+        split(h, origin, twin, leaving)
+        size = ring(h, origin, twin, around)
+        if not insert_vertex(
+            i, around, size, x, u, scale, least, energy, pulls[i], goals[i], star
+        ):
+            return k
+        moved[i] = 1.0
+        for steps in (4, 1):
+            _relax_at(
+                i, steps, x, u, origin, twin, leaving, moved, scale, least, energy, pulls, goals,
+                other, star,
+            )  # fmt: skip
+            if steps == 4:
+                for l in range(size):
+                    _relax_at(
+                        around[l], 1, x, u, origin, twin, leaving, moved, scale, least, energy,
+                        pulls, goals, other, star,
+                    )  # fmt: skip
+    return last
+
+
+@njit(cache=True)
+def _sweep(
+    active, still, x, u, origin, twin, leaving, moved, scale, least, energy, pulls, goals, around,
+    other, star,
+):  # type: ignore[no-untyped-def]  # fmt: skip
+    """Relax every vertex whose ring has moved since it was last visited."""
+    for i in active:
+        if moved[i] > still:
+            moved[i] = 0.0
+            _relax_at(
+                i, 2, x, u, origin, twin, leaving, moved, scale, least, energy, pulls, goals,
+                around, star,
+            )  # fmt: skip

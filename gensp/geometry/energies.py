@@ -1,0 +1,63 @@
+"""Distortion energies of a triangle's map, as functions of two invariants of its Jacobian.
+
+With singular values σ₁ ≥ σ₂ of J, every energy is a function φ(D, j) of D = ‖J‖² = σ₁² + σ₂² and
+j = det J = σ₁σ₂, and infinite for j ≤ 0. One table serves the vertex-by-vertex optimisation of
+the hierarchical embedding and the Newton iteration of the whole map.
+"""
+
+import numpy as np
+from numba import njit
+
+DIRICHLET, STRETCH, AMIPS, SIGMA = range(4)
+
+ENERGIES = {
+    # ‖J‖² + ‖J⁻¹‖² (Smith & Schaefer 2015).
+    "dirichlet": DIRICHLET,
+    # ½‖J⁻¹‖² + 10⁻⁴·½‖J‖²: L² stretch from the sphere to the surface (Praun & Hoppe 2003).
+    "stretch": STRETCH,
+    # exp(s δ), δ = α·½(σ₁/σ₂ + σ₂/σ₁) + (1 − α)·½(j + 1/j) (Fu, Liu & Guo 2015; Hu et al. 2017).
+    "amips": AMIPS,
+    # (½ (‖J‖² + ‖J⁻¹‖²))²: dominated by max(σ₁, 1/σ₂)⁴, the quantity that is reported.
+    "sigma": SIGMA,
+}
+
+_INVERSE_STRETCH = 1e-4
+_EXPONENT, _CONFORMAL = 5.0, 0.5
+
+
+@njit(cache=True)
+def energy_value(energy: int, d: float, j: float) -> float:
+    """φ(D, j); infinite for a folded or flat triangle."""
+    if not j > 0:
+        return np.inf
+    if energy == STRETCH:
+        return 0.5 * d / (j * j) + 0.5 * _INVERSE_STRETCH * d
+    if energy == AMIPS:
+        delta = 0.5 * _CONFORMAL * d / j + 0.5 * (1 - _CONFORMAL) * (j + 1 / j)
+        return np.exp(_EXPONENT * delta) if _EXPONENT * delta < 700 else np.inf
+    value = d * (1 + 1 / (j * j))
+    return value if energy == DIRICHLET else 0.25 * value * value
+
+
+@njit(cache=True)
+def energy_slopes(
+    energy: int, d: float, j: float
+) -> tuple[float, float, float, float, float]:
+    """φ_D, φ_j, φ_DD, φ_Dj, φ_jj at j > 0."""
+    i2 = 1 / (j * j)
+    i3, i4 = i2 / j, i2 * i2
+    if energy == STRETCH:
+        return 0.5 * i2 + 0.5 * _INVERSE_STRETCH, -d * i3, 0.0, -i3, 3 * d * i4
+    if energy == AMIPS:
+        s, a, b = _EXPONENT, 0.5 * _CONFORMAL, 0.5 * (1 - _CONFORMAL)
+        value = energy_value(AMIPS, d, j)
+        u, v = s * a / j, s * (-a * d * i2 + b * (1 - i2))
+        mixed, curved = -s * a * i2, s * (2 * a * d * i3 + 2 * b * i3)
+        return value * u, value * v, value * u * u, value * (u * v + mixed), value * (
+            v * v + curved
+        )
+    fd, fj, fdj, fjj = 1 + i2, -2 * d * i3, -2 * i3, 6 * d * i4
+    if energy == DIRICHLET:
+        return fd, fj, 0.0, fdj, fjj
+    f = 0.5 * d * fd  # half of the symmetric Dirichlet energy, squared by a quarter above
+    return f * fd, f * fj, 0.5 * fd * fd, 0.5 * fd * fj + f * fdj, 0.5 * fj * fj + f * fjj
