@@ -16,7 +16,8 @@ CORE = {"errors", "files"}
 ALLOWED = {
     "errors": set(),
     "files": {"errors"},
-    "geometry": CORE,
+    "compiled": set(),
+    "geometry": CORE | {"compiled"},
     "models": CORE | {"geometry"},
     "losses": CORE | {"geometry"},
     "compute": CORE,

@@ -40,16 +40,16 @@ class Certificate:
     def __str__(self) -> str:
         if self.bijective:
             kept = "kept" if self.orientation > 0 else "mirrored"
-            return f"bijective: {self.faces} faces by exact predicate, degree 1, orientation {kept}"
+            return (
+                f"bijective: {self.faces} faces by exact predicate, degree 1, orientation {kept}"
+            )
         return (
             f"not bijective: {len(self.faults)} of {self.faces} faces folded or without area "
             f"(first: {self.faults[:5].tolist()}), degree {self.degree}"
         )
 
 
-def certify(
-    sphere: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
-) -> Certificate:
+def certify(sphere: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> Certificate:
     """Certify a piecewise linear map of a closed genus-0 triangulation to the unit sphere.
 
     A face counts by the exact sign of det(u_a, u_b, u_c), the orientation of its *spherical*

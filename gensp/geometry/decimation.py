@@ -5,21 +5,44 @@ go first, tips of protrusions last, so that protrusions get their part of the sp
 Hu, Fu & Liu 2017 and Schmidt et al. 2023).
 """
 
-import heapq
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
-from jaxtyping import Float, Int
-from numba import njit
+from jaxtyping import Int
 
+from gensp.compiled.collapses import BASE, collapse_all
 from gensp.errors import NotEmbeddable
-from gensp.geometry.halfedges import HalfEdges, collapse, following, ring, turned
 from gensp.geometry.mesh import Mesh
 
-BASE = 4  # vertices of the tetrahedron
-_SHORT = 1e-3  # where the surface is flat, short edges go first
-_MANY = 10  # neighbours; more make a collapse dear
-_FLATTEST = 1e-7  # area of a triangle over its longest side squared that a collapse may leave
+
+@dataclass(frozen=True)
+class HalfEdges:
+    """Connectivity of a closed oriented triangulation with n vertices and h half-edges.
+
+    Attributes
+    ----------
+    origin, twin
+        Vertex that every half-edge leaves (h,), and the half-edge against it (h,).
+    leaving
+        One half-edge that leaves every vertex (n,).
+    """
+
+    origin: Int[np.ndarray, " h"]
+    twin: Int[np.ndarray, " h"]
+    leaving: Int[np.ndarray, " n"]
+
+    @classmethod
+    def of(cls, faces: Int[np.ndarray, "m 3"], count: int) -> Self:
+        """Half-edges of a closed manifold with `count` vertices."""
+        origin = np.ascontiguousarray(faces.reshape(-1))
+        tip = np.ascontiguousarray(faces[:, [1, 2, 0]].reshape(-1))
+        key, against = origin * count + tip, tip * count + origin
+        order = np.argsort(key)
+        twin = order[np.searchsorted(key, against, sorter=order)]
+        leaving = np.empty(count, dtype=np.int64)
+        leaving[origin] = np.arange(len(origin))
+        return cls(origin.copy(), twin, leaving)
 
 
 @dataclass(frozen=True)
@@ -50,7 +73,7 @@ def decimate(mesh: Mesh) -> Collapses:
         No collapse is allowed, though more than four vertices are left.
     """
     halfedges = HalfEdges.of(mesh.faces, len(mesh.vertices))
-    order = _collapse_all(
+    order = collapse_all(
         mesh.vertices, mesh.faces, halfedges.origin, halfedges.twin, halfedges.leaving
     )
     left = len(mesh.vertices) - len(order)
@@ -62,150 +85,3 @@ def decimate(mesh: Mesh) -> Collapses:
     gone = np.zeros(len(mesh.vertices), dtype=bool)
     gone[halfedges.origin[order]] = True
     return Collapses(halfedges, order, np.flatnonzero(~gone))
-
-
-@njit(cache=True)
-def _quadrics(x: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> np.ndarray:
-    """Per vertex the 10 numbers of Σ_f A_f (n·x − d)²."""
-    q = np.zeros((len(x), 10))
-    for f in range(len(faces)):
-        a, b, c = x[faces[f, 0]], x[faces[f, 1]], x[faces[f, 2]]
-        n = np.cross(b - a, c - a)
-        length = np.sqrt(n @ n)
-        if length == 0:
-            continue
-        n = n / length
-        d = n @ a
-        plane = np.array(
-            [n[0] * n[0], n[0] * n[1], n[0] * n[2], n[1] * n[1], n[1] * n[2], n[2] * n[2],
-             -2 * d * n[0], -2 * d * n[1], -2 * d * n[2], d * d]
-        )  # fmt: skip
-        for k in range(3):
-            q[faces[f, k]] += 0.5 * length * plane
-    return q
-
-
-@njit(cache=True)
-def _quadric_error(q: np.ndarray, x: np.ndarray) -> float:
-    square = (
-        q[0] * x[0] * x[0] + 2 * q[1] * x[0] * x[1] + 2 * q[2] * x[0] * x[2]
-        + q[3] * x[1] * x[1] + 2 * q[4] * x[1] * x[2] + q[5] * x[2] * x[2]
-    )  # fmt: skip
-    return max(square + q[6] * x[0] + q[7] * x[1] + q[8] * x[2] + q[9], 0.0)
-
-
-@njit(cache=True)
-def _triangle(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[float, float]:
-    """Area and square of the longest side."""
-    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-    wx, wy, wz = vx - ux, vy - uy, vz - uz
-    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    longest = max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz)
-    longest = max(longest, wx * wx + wy * wy + wz * wz)
-    return 0.5 * np.sqrt(nx * nx + ny * ny + nz * nz), longest
-
-
-@njit(cache=True)
-def _cost(
-    around: np.ndarray, size: int, v: int, valence: int, x: np.ndarray, q: np.ndarray
-) -> float:
-    """Cost of moving v into around[0], its ring being around[:size]; infinite where flat."""
-    w = around[0]
-    star, worst = 0.0, 1.0
-    for k in range(1, size - 1):
-        area, longest = _triangle(x[w], x[around[k]], x[around[k + 1]])
-        if area <= _FLATTEST * longest:
-            return np.inf
-        worst = max(worst, 0.4330127 * longest / area)
-        star += area
-    edge = x[v] - x[w]
-    many = max(1.0, (size + valence - 4) / _MANY)
-    error = _quadric_error(q[v] + q[w], x[w])
-    return (error + _SHORT * (edge @ edge) * star) * worst * many * many
-
-
-@njit(cache=True)
-def _linked(around: np.ndarray, size: int, h: int, origin: np.ndarray, twin: np.ndarray) -> int:
-    """Number of neighbours of the tip of h where the link condition holds, else 0."""
-    start = twin[h]
-    at, common, valence = start, 0, 0
-    while True:
-        tip = origin[following(at)]
-        for k in range(1, size):
-            common += tip == around[k]
-        valence += 1
-        at = turned(at, twin)
-        if at == start:
-            return valence if common == 2 else 0
-
-
-@njit(cache=True)
-def _best(
-    v: int,
-    x: np.ndarray,
-    q: np.ndarray,
-    origin: np.ndarray,
-    twin: np.ndarray,
-    leaving: np.ndarray,
-    around: np.ndarray,
-) -> tuple[float, int]:
-    """Cheapest allowed collapse of v: its cost and half-edge."""
-    least, chosen = np.inf, -1
-    start = leaving[v]
-    at = start
-    while True:
-        size = ring(at, origin, twin, around)
-        valence = _linked(around, size, at, origin, twin)
-        if valence:
-            cost = _cost(around, size, v, valence, x, q)
-            if cost < least:
-                least, chosen = cost, at
-        at = turned(at, twin)
-        if at == start:
-            return least, chosen
-
-
-@njit(cache=True)
-def _collapse_all(
-    x: np.ndarray, faces: np.ndarray, origin: np.ndarray, twin: np.ndarray, leaving: np.ndarray
-) -> np.ndarray:
-    n = len(x)
-    q = _quadrics(x, faces)
-    around = np.empty(n, dtype=np.int64)
-    other = np.empty(n, dtype=np.int64)
-    version = np.zeros(n, dtype=np.int64)
-    order = np.empty(max(n - BASE, 0), dtype=np.int64)
-    heap = [(np.inf, 0, 0, 0)]
-    for v in range(n):
-        cost, h = _best(v, x, q, origin, twin, leaving, around)
-        if h >= 0:
-            heap.append((cost, v, h, 0))
-    heapq.heapify(heap)
-    done = 0
-    while done < n - BASE:
-        cost, v, h, made = heapq.heappop(heap)
-        if h < 0 or cost == np.inf:
-            break
-        if made != version[v]:
-            continue
-        size = ring(h, origin, twin, around)
-        if not _linked(around, size, h, origin, twin):
-            # The tip has got new neighbours meanwhile.
-            version[v] += 1
-            cost, h = _best(v, x, q, origin, twin, leaving, other)
-            if h >= 0:
-                heapq.heappush(heap, (cost, v, h, version[v]))
-            continue
-        collapse(h, origin, twin, leaving)
-        q[around[0]] += q[v]
-        version[v] = -1
-        order[done] = h
-        done += 1
-        for k in range(size):
-            near = around[k]
-            version[near] += 1
-            cost, h = _best(near, x, q, origin, twin, leaving, other)
-            if h >= 0:
-                heapq.heappush(heap, (cost, near, h, version[near]))
-    return order[:done]

@@ -11,22 +11,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import njit
 
+from gensp.compiled.collapses import BASE
+from gensp.compiled.energies import ENERGIES
+from gensp.compiled.growth import insert, sweep
 from gensp.errors import NotEmbeddable
 from gensp.geometry.alignment import best_rotation
-from gensp.geometry.decimation import BASE, Collapses, decimate
-from gensp.geometry.energies import ENERGIES
-from gensp.geometry.halfedges import ring, split
+from gensp.geometry.decimation import Collapses, decimate
 from gensp.geometry.mesh import SPHERE_AREA, Mesh
 from gensp.geometry.predicates import bad_faces, spherical_orientation
-from gensp.geometry.relaxation import insert_vertex, relax_vertex
 from gensp.geometry.sphere import unit
 
 _TETRAHEDRON = unit(np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]))
 _STILL = 1e-3  # of the mean edge: vertices that their ring moved by less are not visited
 
-Polish = Callable[[Mesh, Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]], Float[np.ndarray, "n 3"]]
+Polish = Callable[
+    [Mesh, Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]], Float[np.ndarray, "n 3"]
+]
 
 
 @dataclass(frozen=True)
@@ -135,7 +136,7 @@ class _Growing:
         wanted = min(limit, int(np.ceil(self.count * self.schedule.growth)))
         settings = self._settings()
         while self.count < wanted:
-            reached = _insert(
+            reached = insert(
                 self.order, self.inserted, wanted - BASE, *self._arrays(), *settings, *self.work
             )
             if reached == self.inserted:
@@ -192,7 +193,7 @@ class _Growing:
         still = _STILL * np.sqrt(SPHERE_AREA / self.count)
         settings = self._settings()
         for _ in range(passes):
-            _sweep(active, still, *self._arrays(), *settings, *self.work)
+            sweep(active, still, *self._arrays(), *settings, *self.work)
 
     def _fail(self) -> None:
         h = int(self.order[self.inserted])
@@ -202,61 +203,3 @@ class _Growing:
             f"(after {self.count} of {len(self.mesh.vertices)} vertices); remesh the surface near "
             f"{np.round(self.mesh.vertices[vertex], 4).tolist()}"
         )
-
-
-@njit(cache=True)
-def _relax_at(
-    i, steps, x, u, origin, twin, leaving, moved, scale, least, energy, pulls, goals, around, star
-):  # type: ignore[no-untyped-def]
-    size = ring(leaving[i], origin, twin, around)
-    away = relax_vertex(
-        i, around, size, x, u, scale, least, energy, pulls[i], goals[i], steps, star
-    )
-    for k in range(size):
-        moved[around[k]] += away
-    return away
-
-
-@njit(cache=True)
-def _insert(
-    order, first, last, x, u, origin, twin, leaving, moved, scale, least, energy, pulls, goals,
-    around, other, star,
-):  # type: ignore[no-untyped-def]  # fmt: skip
-    """Insert order[first:last]; gives where it stopped, earlier than `last` if one has no place."""
-    for k in range(first, last):
-        h = order[k]
-        i = origin[h]
-        split(h, origin, twin, leaving)
-        size = ring(h, origin, twin, around)
-        if not insert_vertex(
-            i, around, size, x, u, scale, least, energy, pulls[i], goals[i], star
-        ):
-            return k
-        moved[i] = 1.0
-        for steps in (4, 1):
-            _relax_at(
-                i, steps, x, u, origin, twin, leaving, moved, scale, least, energy, pulls, goals,
-                other, star,
-            )  # fmt: skip
-            if steps == 4:
-                for l in range(size):
-                    _relax_at(
-                        around[l], 1, x, u, origin, twin, leaving, moved, scale, least, energy,
-                        pulls, goals, other, star,
-                    )  # fmt: skip
-    return last
-
-
-@njit(cache=True)
-def _sweep(
-    active, still, x, u, origin, twin, leaving, moved, scale, least, energy, pulls, goals, around,
-    other, star,
-):  # type: ignore[no-untyped-def]  # fmt: skip
-    """Relax every vertex whose ring has moved since it was last visited."""
-    for i in active:
-        if moved[i] > still:
-            moved[i] = 0.0
-            _relax_at(
-                i, 2, x, u, origin, twin, leaving, moved, scale, least, energy, pulls, goals,
-                around, star,
-            )  # fmt: skip

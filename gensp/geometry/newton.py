@@ -8,11 +8,11 @@ from jaxtyping import Float
 
 from gensp.errors import NotEmbeddable
 from gensp.geometry.assembly import HessianPattern
-from gensp.geometry.dirichlet import SymmetricDirichlet, project_positive
 from gensp.geometry.linear import SPDSolver
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.predicates import bad_faces, spherical_orientation
 from gensp.geometry.sphere import tangent_frame, unit
+from gensp.geometry.spherical_energy import SphericalEnergy, project_positive
 
 _RIDGE = 1e-6  # times the vertex areas: holds the three rotations where nothing pulls
 _SUFFICIENT = 1e-4  # Armijo: part of the predicted decrease that a step must reach
@@ -39,10 +39,11 @@ def refine_map(
     max_iterations: int = 50,
     tolerance: float = 1e-4,
     weights: Float[np.ndarray, " m"] | None = None,
+    energy: str = "dirichlet",
 ) -> Refined:
     """Minimise E(u) + Σ_i γ_i M_i ‖u_i − u⁰_i‖² from a map without bad faces.
 
-    E is the spherical symmetric Dirichlet energy, M the vertex areas. Every iterate is free of
+    E is a distortion energy of the map, M the vertex areas. Every iterate is free of
     bad faces by the exact predicate, and so is the result. A mirrored start stays mirrored.
 
     Parameters
@@ -57,6 +58,8 @@ def refine_map(
         Newton steps at most, and the relative decrease of the energy to stop at.
     weights
         Factor of every triangle in E, one by default.
+    energy
+        Name of E in `energies.ENERGIES`.
 
     Raises
     ------
@@ -72,7 +75,9 @@ def refine_map(
         )
     # The antipodal map turns every orientation round: minimise there, and turn back.
     side = 1.0 if spherical_orientation(u, mesh.faces)[0] > 0 else -1.0
-    problem = _PulledEnergy(mesh, side * (u if target is None else unit(target)), pull, weights)
+    problem = _PulledEnergy(
+        mesh, side * (u if target is None else unit(target)), pull, weights, energy
+    )
     refined = _minimise(problem, side * u, max_iterations, tolerance)
     return Refined(side * refined.sphere, refined.energy, refined.iterations, refined.converged)
 
@@ -86,9 +91,10 @@ class _PulledEnergy:
         target: Float[np.ndarray, "n 3"],
         pull: float | Float[np.ndarray, " n"],
         weights: Float[np.ndarray, " m"] | None,
+        energy: str,
     ) -> None:
         self.mesh, self.target = mesh, target
-        self.dirichlet = SymmetricDirichlet(mesh, weights)
+        self.distortion = SphericalEnergy(mesh, weights, energy)
         count = len(mesh.vertices)
         areas = np.bincount(mesh.faces.reshape(-1), np.repeat(mesh.face_areas / 3, 3), count)
         self.spring = areas * pull
@@ -97,18 +103,18 @@ class _PulledEnergy:
 
     def value(self, u: Float[np.ndarray, "n 3"]) -> float:
         away = np.sum((u - self.target) ** 2, axis=1)
-        return self.dirichlet.energy(u) + float(self.spring @ away)
+        return self.distortion.energy(u) + float(self.spring @ away)
 
     def gradient(
         self, u: Float[np.ndarray, "n 3"], frames: Float[np.ndarray, "n 3 2"]
     ) -> Float[np.ndarray, " k"]:
-        free = self.dirichlet.gradient(u) + 2 * self.spring[:, None] * (u - self.target)
+        free = self.distortion.gradient(u) + 2 * self.spring[:, None] * (u - self.target)
         return np.einsum("nik,ni->nk", frames, free).reshape(-1)
 
     def hessian(
         self, u: Float[np.ndarray, "n 3"], frames: Float[np.ndarray, "n 3 2"]
     ) -> scipy.sparse.csc_matrix:
-        blocks = project_positive(self.dirichlet.hessians(u, frames))
+        blocks = project_positive(self.distortion.hessians(u, frames))
         # ‖u − u⁰‖² = 2 − 2 u·u⁰ on the sphere has the Hessian 2 (u·u⁰) I.
         aligned = np.maximum(np.einsum("ni,ni->n", u, self.target), 0)
         diagonal = 2 * self.spring * aligned + self.ridge

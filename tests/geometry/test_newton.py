@@ -3,12 +3,12 @@ import pytest
 
 from gensp.errors import NotEmbeddable
 from gensp.geometry.alignment import ball_inversion, best_rotation
-from gensp.geometry.dirichlet import SymmetricDirichlet
 from gensp.geometry.distortion import distortion
 from gensp.geometry.mesh import normalize
 from gensp.geometry.newton import refine_map
 from gensp.geometry.predicates import bad_faces, map_degree
 from gensp.geometry.sphere import icosphere, unit
+from gensp.geometry.spherical_energy import SphericalEnergy
 
 
 def _moebius_start(centre=(0.5, -0.3, 0.1)):
@@ -28,7 +28,7 @@ def test_sphere_returns_to_its_identity():
 def test_ellipsoid_from_a_moebius_start_has_less_energy_and_no_bad_face(ellipsoid):
     shape, start = normalize(ellipsoid), _moebius_start()
     refined = refine_map(shape, start)
-    assert refined.energy < SymmetricDirichlet(shape).energy(start)
+    assert refined.energy < SphericalEnergy(shape).energy(start)
     assert not bad_faces(refined.sphere, shape.faces).any()
     assert map_degree(refined.sphere, shape.faces) == 1
     before = distortion(shape.vertices, start, shape.faces)
@@ -93,7 +93,7 @@ def test_triangle_weights_favour_their_triangles(bumpy):
     weighted = refine_map(shape, start, tolerance=1e-8, weights=np.where(left, 10.0, 1.0))
 
     def energy_on_the_left(sphere):
-        return SymmetricDirichlet(shape, left.astype(float)).energy(sphere)
+        return SphericalEnergy(shape, left.astype(float)).energy(sphere)
 
     assert energy_on_the_left(weighted.sphere) < energy_on_the_left(plain.sphere)
 

@@ -7,8 +7,7 @@ exceeds the largest rounding error that it can have.
 import numpy as np
 from numba import njit
 
-from gensp.geometry.energies import energy_slopes, energy_value
-from gensp.geometry.halfedges import ring
+from gensp.compiled.energies import energy_slopes, energy_value
 
 CERTAIN = 1e-13  # determinant over the product of two sides, far above rounding
 _HALVINGS = 30
@@ -59,7 +58,7 @@ def _star_energy(
     pull: float,
     goal: np.ndarray,
 ) -> float:
-    """Energy of the star with its centre at p; infinite where a triangle is not certainly sound."""
+    """Energy of the star with its centre at p; infinite unless every triangle is surely sound."""
     total = pull * ((p[0] - goal[0]) ** 2 + (p[1] - goal[1]) ** 2 + (p[2] - goal[2]) ** 2)
     for k in range(size):
         a, b = around[k], around[(k + 1) % size]
@@ -226,8 +225,8 @@ def _kernel_centre(around: np.ndarray, size: int, u: np.ndarray, out: np.ndarray
         normals[k] = n / length
     out[:] = 0
     for k in range(size):
-        for l in range(k + 1, size):
-            corner = np.cross(normals[k], normals[l])
+        for n in range(k + 1, size):
+            corner = np.cross(normals[k], normals[n])
             length = np.sqrt(corner @ corner)
             if length < 1e-12:
                 continue
@@ -235,7 +234,7 @@ def _kernel_centre(around: np.ndarray, size: int, u: np.ndarray, out: np.ndarray
             for side in (1.0, -1.0):
                 inside = True
                 for m in range(size):
-                    if m != k and m != l and side * (normals[m] @ corner) < -1e-12:
+                    if m != k and m != n and side * (normals[m] @ corner) < -1e-12:
                         inside = False
                         break
                 if inside:

@@ -4,41 +4,8 @@ Face f has the half-edges 3f, 3f + 1, 3f + 2; half-edge 3f + k leaves corner k. 
 the half-edges of its two faces as they were, so that a split can put them back.
 """
 
-from dataclasses import dataclass
-from typing import Self
-
 import numpy as np
-from jaxtyping import Int
 from numba import njit
-
-
-@dataclass(frozen=True)
-class HalfEdges:
-    """Connectivity of a closed oriented triangulation with n vertices and h half-edges.
-
-    Attributes
-    ----------
-    origin, twin
-        Vertex that every half-edge leaves (h,), and the half-edge against it (h,).
-    leaving
-        One half-edge that leaves every vertex (n,).
-    """
-
-    origin: Int[np.ndarray, " h"]
-    twin: Int[np.ndarray, " h"]
-    leaving: Int[np.ndarray, " n"]
-
-    @classmethod
-    def of(cls, faces: Int[np.ndarray, "m 3"], count: int) -> Self:
-        """Half-edges of a closed manifold with `count` vertices."""
-        origin = np.ascontiguousarray(faces.reshape(-1))
-        tip = np.ascontiguousarray(faces[:, [1, 2, 0]].reshape(-1))
-        key, against = origin * count + tip, tip * count + origin
-        order = np.argsort(key)
-        twin = order[np.searchsorted(key, against, sorter=order)]
-        leaving = np.empty(count, dtype=np.int64)
-        leaving[origin] = np.arange(len(origin))
-        return cls(origin.copy(), twin, leaving)
 
 
 @njit(cache=True)

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 
 from gensp.geometry.assembly import HessianPattern
-from gensp.geometry.dirichlet import SymmetricDirichlet, project_positive
 from gensp.geometry.distortion import singular_values
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.sphere import icosphere, sample_sphere, tangent_frame, unit
+from gensp.geometry.spherical_energy import SphericalEnergy, project_positive
 
 
 @pytest.fixture
@@ -21,7 +21,7 @@ def start():
 
 @pytest.fixture
 def energy(shape, rng):
-    return SymmetricDirichlet(shape, rng.uniform(0.5, 2, len(shape.faces)))
+    return SphericalEnergy(shape, rng.uniform(0.5, 2, len(shape.faces)))
 
 
 def _along(u, x, step):
@@ -31,14 +31,14 @@ def _along(u, x, step):
 def test_energy_of_the_identity_is_twice_the_area():
     for level in (2, 4):
         ball = icosphere(level)
-        energy = SymmetricDirichlet(ball).energy(ball.vertices)
+        energy = SphericalEnergy(ball).energy(ball.vertices)
         # ‖J‖² = 2 and ‖J⁻¹‖² ≈ 2 as the determinants tend to twice the areas.
         assert energy == pytest.approx(4 * ball.area, rel=2 / 4**level)
 
 
 def test_identity_is_a_minimiser_of_the_sphere(rng):
     ball = normalize(icosphere(3))
-    energy = SymmetricDirichlet(ball)
+    energy = SphericalEnergy(ball)
     u, frames = unit(ball.vertices), tangent_frame(unit(ball.vertices))
     gradient = np.einsum("nik,ni->nk", frames, energy.gradient(u))
     # The chord against the arc leaves a discretisation error of the order of the face size.
@@ -56,7 +56,7 @@ def test_energy_agrees_with_the_singular_values(shape, start):
     # The distortion measure scales the chordal sphere to 4π; the energy takes it as it is.
     values = values * np.sqrt(sphere_area / (4 * np.pi))
     expected = shape.face_areas @ (np.sum(values**2, axis=1) + np.sum(values**-2.0, axis=1))
-    assert SymmetricDirichlet(shape).energy(start) == pytest.approx(expected, rel=0.02)
+    assert SphericalEnergy(shape).energy(start) == pytest.approx(expected, rel=0.02)
 
 
 def test_gradient_against_finite_differences(energy, start, rng):
@@ -138,5 +138,5 @@ def test_determinant_keeps_its_sign_on_tiny_triangles():
     u = unit(centre + 1e-9 * np.array([[0, 0], [1.0, 0], [0, 1.0]]) @ frame.T)
     faces = np.array([[0, 1, 2]])
     flat = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), faces)
-    assert np.isfinite(SymmetricDirichlet(flat).energy(u))
-    assert SymmetricDirichlet(flat).energy(u[[0, 2, 1]]) == np.inf
+    assert np.isfinite(SphericalEnergy(flat).energy(u))
+    assert SphericalEnergy(flat).energy(u[[0, 2, 1]]) == np.inf

@@ -1,15 +1,14 @@
-"""Spherical symmetric Dirichlet energy: value, gradient, projected Hessians.
+"""Distortion energies of maps to the sphere: value, gradient, projected Hessians.
 
 For a map u from a triangulated surface to the unit sphere,
 
-    E(u) = Σ_t w_t A_t (‖J_t‖² + ‖J_t⁻¹‖²) = Σ_t w_t d_t (1 + 1/j_t²),
+    E(u) = Σ_t w_t A_t φ(D_t, j_t),
 
-with d_t = A_t‖J_t‖² = ½ Σ_k cot α_k |e_k|² over the chordal edges e_k, and the area ratio taken as
-j_t = det(u_a, u_b, u_c) / (2 A_t). The determinant has the sign of the *spherical* triangle, so
-the energy is a barrier against exactly the folds that the predicates find. For small triangles it
-tends to det J_t. The symmetric Dirichlet energy is that of Smith & Schaefer 2015 (Bijective
-parameterization with free boundaries); projecting the Hessian element by element follows Teran et
-al. 2005 (Robust quasistatic finite elements).
+with A_t D_t = A_t‖J_t‖² = d_t = ½ Σ_k cot α_k |e_k|² over the chordal edges e_k, the area ratio
+taken as j_t = det(u_a, u_b, u_c) / (2 A_t), and φ one of `energies.ENERGIES`. The determinant has
+the sign of the *spherical* triangle, so the energy is a barrier against exactly the folds that the
+predicates find. For small triangles it tends to det J_t. Projecting the Hessian element by element
+follows Teran et al. 2005 (Robust quasistatic finite elements).
 """
 
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ import numpy as np
 import scipy.sparse
 from jaxtyping import Float, Int
 
+from gensp.compiled.energies import ENERGIES, energy_slopes_of, energy_values_of
 from gensp.geometry.mesh import Mesh
 
 _PAIRS = ((0, 1, 2), (1, 2, 0), (2, 0, 1))  # corners (u, v) of a pair and the corner opposite
@@ -34,8 +34,19 @@ class _Terms:
     ratio: Float[np.ndarray, " m"]  # j_t
 
 
-class SymmetricDirichlet:
-    """Symmetric Dirichlet energy of maps of one surface to the unit sphere.
+@dataclass(frozen=True)
+class _Slopes:
+    """Derivatives of a triangle's term by d and by the determinant; each (m,)."""
+
+    stretch: Float[np.ndarray, " m"]
+    determinant: Float[np.ndarray, " m"]
+    stretch_twice: Float[np.ndarray, " m"]
+    mixed: Float[np.ndarray, " m"]
+    determinant_twice: Float[np.ndarray, " m"]
+
+
+class SphericalEnergy:
+    """Distortion energy of maps of one surface to the unit sphere.
 
     Parameters
     ----------
@@ -43,9 +54,17 @@ class SymmetricDirichlet:
         The surface, at area 4π where values are to compare with the sphere's own.
     weights
         Factor w_t of every triangle, one by default.
+    energy
+        Name of φ in `energies.ENERGIES`.
     """
 
-    def __init__(self, mesh: Mesh, weights: Float[np.ndarray, " m"] | None = None) -> None:
+    def __init__(
+        self,
+        mesh: Mesh,
+        weights: Float[np.ndarray, " m"] | None = None,
+        energy: str = "dirichlet",
+    ) -> None:
+        self.kind = ENERGIES[energy]
         self.faces = mesh.faces
         self.count = len(mesh.vertices)
         self.twice_areas = 2 * mesh.face_areas
@@ -59,12 +78,16 @@ class SymmetricDirichlet:
         terms = self._terms(u)
         if not (terms.ratio > 0).all():
             return np.inf
-        with np.errstate(over="ignore", divide="ignore"):
-            return float(self.weights @ (terms.stretch * (1 + terms.ratio**-2)))
+        areas = self.twice_areas / 2
+        return float(
+            (self.weights * areas)
+            @ energy_values_of(self.kind, terms.stretch / areas, terms.ratio)
+        )
 
     def gradient(self, u: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
         """Derivative of E by the positions u as free vectors of space."""
-        corners = self._corner_gradients(self._terms(u))
+        terms = self._terms(u)
+        corners = self._corner_gradients(terms, self._slopes(terms))
         return self._corner_sum @ corners.transpose(0, 2, 1).reshape(-1, 3)
 
     def hessians(
@@ -76,17 +99,17 @@ class SymmetricDirichlet:
         to the block of a corner with gradient g.
         """
         terms = self._terms(u)
+        slopes = self._slopes(terms)
         tangents = np.stack([_gathered(frames[:, :, k], self.faces) for k in (0, 1)], axis=1)
-        blocks = self._gradient_products(terms, tangents)
+        blocks = self._gradient_products(terms, slopes, tangents)
         for pair in _PAIRS:
             first, second = (slice(2 * corner, 2 * corner + 2) for corner in pair[:2])
-            block = self._pair_block(terms, tangents, *pair)
+            block = self._pair_block(terms, slopes, tangents, *pair)
             blocks[first, second] += block
             blocks[second, first] += block.swapaxes(0, 1)
-        normal = _dot(self._corner_gradients(terms), terms.corners)
-        linear = self.weights * (1 + terms.ratio**-2)
+        normal = _dot(self._corner_gradients(terms, slopes), terms.corners)
         for k in range(3):
-            stiff = linear * (self.cotangents[(k + 1) % 3] + self.cotangents[(k + 2) % 3])
+            stiff = slopes.stretch * (self.cotangents[(k + 1) % 3] + self.cotangents[(k + 2) % 3])
             blocks[[2 * k, 2 * k + 1], [2 * k, 2 * k + 1]] += stiff - normal[k]
         return blocks
 
@@ -98,44 +121,50 @@ class SymmetricDirichlet:
         ratio = _dot(corners[0], _cross(edges[1], edges[2])) / self.twice_areas
         return _Terms(corners, edges, stretch, ratio)
 
-    def _slopes(self, terms: _Terms) -> tuple[np.ndarray, np.ndarray]:
-        """Derivative by D = 2A j of w (1 + 1/j²), and second derivative of w d (1 + 1/j²)."""
-        mixed = -2 * self.weights / (terms.ratio**3 * self.twice_areas)
-        return mixed, -3 * mixed * terms.stretch / (terms.ratio * self.twice_areas)
+    def _slopes(self, terms: _Terms) -> _Slopes:
+        areas, w = self.twice_areas / 2, self.weights
+        fd, fj, fdd, fdj, fjj = energy_slopes_of(self.kind, terms.stretch / areas, terms.ratio)
+        return _Slopes(
+            stretch=w * fd,
+            determinant=w * fj / 2,
+            stretch_twice=w * fdd / areas,
+            mixed=w * fdj / (2 * areas),
+            determinant_twice=w * fjj / (4 * areas),
+        )
 
     def _stretch_gradients(self, terms: _Terms) -> Float[np.ndarray, "3 3 m"]:
         pulled = self.cotangents[:, None] * terms.edges
         return pulled[[1, 2, 0]] - pulled[[2, 0, 1]]
 
-    def _corner_gradients(self, terms: _Terms) -> Float[np.ndarray, "3 3 m"]:
-        linear = self.weights * (1 + terms.ratio**-2)
-        slope = terms.stretch * self._slopes(terms)[0]
-        return linear * self._stretch_gradients(terms) + slope * _determinant_gradients(terms)
+    def _corner_gradients(self, terms: _Terms, slopes: _Slopes) -> Float[np.ndarray, "3 3 m"]:
+        moved = slopes.stretch * self._stretch_gradients(terms)
+        return moved + slopes.determinant * _determinant_gradients(terms)
 
     def _gradient_products(
-        self, terms: _Terms, tangents: Float[np.ndarray, "3 2 3 m"]
+        self, terms: _Terms, slopes: _Slopes, tangents: Float[np.ndarray, "3 2 3 m"]
     ) -> Float[np.ndarray, "6 6 m"]:
         """The rank-two part: products of the gradients of d and of the determinant."""
         stretch = _tangential(tangents, self._stretch_gradients(terms))
         determinant = _tangential(tangents, _determinant_gradients(terms))
-        mixed, curvature = self._slopes(terms)
-        half = mixed * stretch + 0.5 * curvature * determinant
+        half = slopes.mixed * stretch + 0.5 * slopes.determinant_twice * determinant
         product = half[:, None] * determinant[None]
+        if slopes.stretch_twice.any():
+            product += 0.5 * (slopes.stretch_twice * stretch)[:, None] * stretch[None]
         return product + product.swapaxes(0, 1)
 
     def _pair_block(
         self,
         terms: _Terms,
+        slopes: _Slopes,
         tangents: Float[np.ndarray, "3 2 3 m"],
         first: int,
         second: int,
         third: int,
     ) -> Float[np.ndarray, "2 2 m"]:
         """Mixed second derivatives of two corners: cotangent term plus det(t_u, t_v, u_w)."""
-        slope = terms.stretch * self._slopes(terms)[0]
-        linear = self.weights * (1 + terms.ratio**-2) * self.cotangents[third]
+        linear = slopes.stretch * self.cotangents[third]
         across = _cross(tangents[second], terms.corners[third][None])
-        moved = slope * across - linear * tangents[second]
+        moved = slopes.determinant * across - linear * tangents[second]
         return _dot(tangents[first][:, None], moved[None])
 
     @cached_property

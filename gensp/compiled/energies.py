@@ -40,9 +40,7 @@ def energy_value(energy: int, d: float, j: float) -> float:
 
 
 @njit(cache=True)
-def energy_slopes(
-    energy: int, d: float, j: float
-) -> tuple[float, float, float, float, float]:
+def energy_slopes(energy: int, d: float, j: float) -> tuple[float, float, float, float, float]:
     """φ_D, φ_j, φ_DD, φ_Dj, φ_jj at j > 0."""
     i2 = 1 / (j * j)
     i3, i4 = i2 / j, i2 * i2
@@ -53,11 +51,33 @@ def energy_slopes(
         value = energy_value(AMIPS, d, j)
         u, v = s * a / j, s * (-a * d * i2 + b * (1 - i2))
         mixed, curved = -s * a * i2, s * (2 * a * d * i3 + 2 * b * i3)
-        return value * u, value * v, value * u * u, value * (u * v + mixed), value * (
-            v * v + curved
+        return (
+            value * u,
+            value * v,
+            value * u * u,
+            value * (u * v + mixed),
+            value * (v * v + curved),
         )
     fd, fj, fdj, fjj = 1 + i2, -2 * d * i3, -2 * i3, 6 * d * i4
     if energy == DIRICHLET:
         return fd, fj, 0.0, fdj, fjj
     f = 0.5 * d * fd  # half of the symmetric Dirichlet energy, squared by a quarter above
     return f * fd, f * fj, 0.5 * fd * fd, 0.5 * fd * fj + f * fdj, 0.5 * fj * fj + f * fjj
+
+
+@njit(cache=True)
+def energy_values_of(energy: int, d: np.ndarray, j: np.ndarray) -> np.ndarray:
+    """φ of many triangles (m,)."""
+    values = np.empty(len(d))
+    for t in range(len(d)):
+        values[t] = energy_value(energy, d[t], j[t])
+    return values
+
+
+@njit(cache=True)
+def energy_slopes_of(energy: int, d: np.ndarray, j: np.ndarray) -> np.ndarray:
+    """φ_D, φ_j, φ_DD, φ_Dj, φ_jj of many triangles (5, m)."""
+    slopes = np.empty((5, len(d)))
+    for t in range(len(d)):
+        slopes[:, t] = energy_slopes(energy, d[t], j[t])
+    return slopes
