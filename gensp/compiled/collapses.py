@@ -14,28 +14,9 @@ _FLATTEST = 1e-7  # area of a triangle over its longest side squared that a coll
 
 
 @njit(cache=True)
-def _quadrics(x: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Per vertex the 10 numbers of Σ_f A_f (n·x − d)²."""
-    q = np.zeros((len(x), 10))
-    for f in range(len(faces)):
-        a, b, c = x[faces[f, 0]], x[faces[f, 1]], x[faces[f, 2]]
-        n = np.cross(b - a, c - a)
-        length = np.sqrt(n @ n)
-        if length == 0:
-            continue
-        n = n / length
-        d = n @ a
-        plane = np.array(
-            [n[0] * n[0], n[0] * n[1], n[0] * n[2], n[1] * n[1], n[1] * n[2], n[2] * n[2],
-             -2 * d * n[0], -2 * d * n[1], -2 * d * n[2], d * d]
-        )  # fmt: skip
-        for k in range(3):
-            q[faces[f, k]] += 0.5 * length * plane
-    return q
-
-
-@njit(cache=True)
-def _quadric_error(q: np.ndarray, x: np.ndarray) -> float:
+def _quadric_error(a: np.ndarray, b: np.ndarray, x: np.ndarray) -> float:
+    """Value at x of the sum of two quadrics, 10 numbers each."""
+    q = a + b
     square = (
         q[0] * x[0] * x[0] + 2 * q[1] * x[0] * x[1] + 2 * q[2] * x[0] * x[2]
         + q[3] * x[1] * x[1] + 2 * q[4] * x[1] * x[2] + q[5] * x[2] * x[2]
@@ -68,10 +49,10 @@ def _cost(
             return np.inf
         worst = max(worst, 0.4330127 * longest / area)
         star += area
-    edge = x[v] - x[w]
+    ex, ey, ez = x[v, 0] - x[w, 0], x[v, 1] - x[w, 1], x[v, 2] - x[w, 2]
     many = max(1.0, (size + valence - 4) / _MANY)
-    error = _quadric_error(q[v] + q[w], x[w])
-    return (error + _SHORT * (edge @ edge) * star) * worst * many * many
+    error = _quadric_error(q[v], q[w], x[w])
+    return (error + _SHORT * (ex * ex + ey * ey + ez * ez) * star) * worst * many * many
 
 
 @njit(cache=True)
@@ -117,11 +98,13 @@ def _best(
 
 @njit(cache=True)
 def collapse_all(
-    x: np.ndarray, faces: np.ndarray, origin: np.ndarray, twin: np.ndarray, leaving: np.ndarray
+    x: np.ndarray, q: np.ndarray, origin: np.ndarray, twin: np.ndarray, leaving: np.ndarray
 ) -> np.ndarray:
-    """Collapse to a tetrahedron, cheapest first; gives the collapsed half-edges in order."""
+    """Collapse to a tetrahedron, cheapest first; gives the collapsed half-edges in order.
+
+    `q` (n, 10) are the quadrics of the vertices; those of collapsed vertices are added on.
+    """
     n = len(x)
-    q = _quadrics(x, faces)
     around = np.empty(n, dtype=np.int64)
     other = np.empty(n, dtype=np.int64)
     version = np.zeros(n, dtype=np.int64)
@@ -148,7 +131,8 @@ def collapse_all(
                 heapq.heappush(heap, (cost, v, h, version[v]))
             continue
         collapse(h, origin, twin, leaving)
-        q[around[0]] += q[v]
+        for k in range(10):
+            q[around[0], k] += q[v, k]
         version[v] = -1
         order[done] = h
         done += 1

@@ -17,12 +17,13 @@ ENERGIES = {
     "stretch": STRETCH,
     # exp(s δ), δ = α·½(σ₁/σ₂ + σ₂/σ₁) + (1 − α)·½(j + 1/j) (Fu, Liu & Guo 2015; Hu et al. 2017).
     "amips": AMIPS,
-    # (½ (‖J‖² + ‖J⁻¹‖²))²: dominated by max(σ₁, 1/σ₂)⁴, the quantity that is reported.
+    # f + ε f², f = ½(‖J‖² + ‖J⁻¹‖²): the mean of max(σ₁, 1/σ₂)², and its largest values dearer.
     "sigma": SIGMA,
 }
 
 _INVERSE_STRETCH = 1e-4
 _EXPONENT, _CONFORMAL = 5.0, 0.5
+_TAIL = 0.02
 
 
 @njit(cache=True)
@@ -36,7 +37,7 @@ def energy_value(energy: int, d: float, j: float) -> float:
         delta = 0.5 * _CONFORMAL * d / j + 0.5 * (1 - _CONFORMAL) * (j + 1 / j)
         return np.exp(_EXPONENT * delta) if _EXPONENT * delta < 700 else np.inf
     value = d * (1 + 1 / (j * j))
-    return value if energy == DIRICHLET else 0.25 * value * value
+    return value if energy == DIRICHLET else 0.5 * value * (1 + 0.5 * _TAIL * value)
 
 
 @njit(cache=True)
@@ -61,8 +62,15 @@ def energy_slopes(energy: int, d: float, j: float) -> tuple[float, float, float,
     fd, fj, fdj, fjj = 1 + i2, -2 * d * i3, -2 * i3, 6 * d * i4
     if energy == DIRICHLET:
         return fd, fj, 0.0, fdj, fjj
-    f = 0.5 * d * fd  # half of the symmetric Dirichlet energy, squared by a quarter above
-    return f * fd, f * fj, 0.5 * fd * fd, 0.5 * fd * fj + f * fdj, 0.5 * fj * fj + f * fjj
+    value = d * fd
+    slope, bend = 0.5 * (1 + _TAIL * value), 0.5 * _TAIL
+    return (
+        slope * fd,
+        slope * fj,
+        bend * fd * fd,
+        slope * fdj + bend * fd * fj,
+        slope * fjj + bend * fj * fj,
+    )
 
 
 @njit(cache=True)

@@ -41,30 +41,31 @@ def insert(
         ):
             return k
         moved[i] = 1.0
-        for steps in (4, 1):
+        for visit in range(2):
+            steps = 4 - 3 * visit
             _relax_at(
                 i, steps, x, u, origin, twin, leaving, moved, scale, least, energy, pulls, goals,
                 other, star,
             )  # fmt: skip
-            if steps == 4:
+            if visit == 0:
                 for n in range(size):
                     _relax_at(
-                        around[n], 1, x, u, origin, twin, leaving, moved, scale, least, energy,
-                        pulls, goals, other, star,
+                        around[n], steps // 4, x, u, origin, twin, leaving, moved, scale, least,
+                        energy, pulls, goals, other, star,
                     )  # fmt: skip
     return last
 
 
 @njit(cache=True)
 def sweep(
-    active, still, x, u, origin, twin, leaving, moved, scale, least, energy, pulls, goals, around,
-    other, star,
+    active, still, steps, x, u, origin, twin, leaving, moved, scale, least, energy, pulls, goals,
+    around, other, star,
 ):  # fmt: skip
     """Relax every vertex whose ring has moved since it was last visited."""
     for i in active:
         if moved[i] > still:
             moved[i] = 0.0
             _relax_at(
-                i, 2, x, u, origin, twin, leaving, moved, scale, least, energy, pulls, goals,
+                i, steps, x, u, origin, twin, leaving, moved, scale, least, energy, pulls, goals,
                 around, star,
             )  # fmt: skip

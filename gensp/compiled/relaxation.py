@@ -12,6 +12,7 @@ from gensp.compiled.energies import energy_slopes, energy_value
 CERTAIN = 1e-13  # determinant over the product of two sides, far above rounding
 _HALVINGS = 30
 _SUFFICIENT = 1e-4
+_PLACES = 60  # tried between the middle of a kernel and its rim, each 0.7 times as far
 
 
 @njit(cache=True)
@@ -183,7 +184,9 @@ def relax_vertex(
         Work space (size, 8).
     """
     _gather(around, size, i, x, u, scale, least, star)
-    p, q = u[i].copy(), np.empty(3)
+    p, q = np.empty(3), np.empty(3)
+    for c in range(3):
+        p[c] = u[i, c]
     value = _star_energy(p, around, size, u, star, energy, pull, goal)
     if value == np.inf:
         return 0.0
@@ -194,7 +197,8 @@ def relax_vertex(
         length, found = min(1.0, 0.5 / np.sqrt(dx * dx + dy * dy + dz * dz + 1e-300)), False
         for _ in range(_HALVINGS):
             q[0], q[1], q[2] = p[0] + length * dx, p[1] + length * dy, p[2] + length * dz
-            q /= np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
+            norm = np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
+            q[0], q[1], q[2] = q[0] / norm, q[1] / norm, q[2] / norm
             reached = _star_energy(q, around, size, u, star, energy, pull, goal)
             if reached <= value + _SUFFICIENT * length * slope:
                 found = True
@@ -203,46 +207,68 @@ def relax_vertex(
         if not found:
             break
         gain, value = value - reached, reached
-        p[:] = q
+        p[0], p[1], p[2] = q[0], q[1], q[2]
         if gain < 1e-4 * value:
             break
     moved = np.sqrt((p[0] - u[i, 0]) ** 2 + (p[1] - u[i, 1]) ** 2 + (p[2] - u[i, 2]) ** 2)
-    u[i] = p
+    for c in range(3):
+        u[i, c] = p[c]
     return moved
 
 
 @njit(cache=True)
-def _kernel_centre(around: np.ndarray, size: int, u: np.ndarray, out: np.ndarray) -> bool:
-    """Mean direction of the kernel's corners: the points that see the whole spherical polygon."""
-    normals = np.empty((size, 3))
+def _normals(around: np.ndarray, size: int, u: np.ndarray, star: np.ndarray) -> bool:
+    """Unit normals of the great circles along the ring, into the first columns of `star`."""
     for k in range(size):
-        a, b = u[around[k]], u[around[(k + 1) % size]]
-        c = b - a
-        n = np.cross(a, c)
-        length = np.sqrt(n @ n)
+        a, b = around[k], around[(k + 1) % size]
+        sx, sy, sz = u[b, 0] - u[a, 0], u[b, 1] - u[a, 1], u[b, 2] - u[a, 2]
+        nx = u[a, 1] * sz - u[a, 2] * sy
+        ny = u[a, 2] * sx - u[a, 0] * sz
+        nz = u[a, 0] * sy - u[a, 1] * sx
+        length = np.sqrt(nx * nx + ny * ny + nz * nz)
         if length == 0:
             return False
-        normals[k] = n / length
-    out[:] = 0
+        star[k, 0], star[k, 1], star[k, 2] = nx / length, ny / length, nz / length
+    return True
+
+
+@njit(cache=True)
+def _sees_all(
+    cx: float, cy: float, cz: float, k: int, n: int, size: int, star: np.ndarray
+) -> bool:
+    """Whether (cx, cy, cz) is inside of all great circles but k and n, where they meet."""
+    for m in range(size):
+        above = star[m, 0] * cx + star[m, 1] * cy + star[m, 2] * cz
+        if above < -1e-12 and m != k and m != n:
+            return False
+    return True
+
+
+@njit(cache=True)
+def _kernel_centre(
+    around: np.ndarray, size: int, u: np.ndarray, star: np.ndarray, out: np.ndarray
+) -> bool:
+    """Mean direction of the kernel's corners: the points that see the whole spherical polygon."""
+    out[0] = out[1] = out[2] = 0.0
+    if not _normals(around, size, u, star):
+        return False
     for k in range(size):
         for n in range(k + 1, size):
-            corner = np.cross(normals[k], normals[n])
-            length = np.sqrt(corner @ corner)
+            cx = star[k, 1] * star[n, 2] - star[k, 2] * star[n, 1]
+            cy = star[k, 2] * star[n, 0] - star[k, 0] * star[n, 2]
+            cz = star[k, 0] * star[n, 1] - star[k, 1] * star[n, 0]
+            length = np.sqrt(cx * cx + cy * cy + cz * cz)
             if length < 1e-12:
                 continue
-            corner /= length
-            for side in (1.0, -1.0):
-                inside = True
-                for m in range(size):
-                    if m != k and m != n and side * (normals[m] @ corner) < -1e-12:
-                        inside = False
-                        break
-                if inside:
-                    out += side * corner
-    length = np.sqrt(out @ out)
+            for sign in range(-1, 2, 2):
+                sx, sy, sz = sign * cx / length, sign * cy / length, sign * cz / length
+                if _sees_all(sx, sy, sz, k, n, size, star):
+                    out[0], out[1], out[2] = out[0] + sx, out[1] + sy, out[2] + sz
+    length = np.sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2])
     if length < 1e-12:
         return False
-    out /= length
+    for c in range(3):
+        out[c] /= length
     return True
 
 
@@ -265,21 +291,27 @@ def insert_vertex(
     Tried are the goal, the middle of the ring's kernel, and points between it and around[0], the
     vertex that i was collapsed into.
     """
+    centre, place = np.empty(3), np.empty(3)
+    seen = _kernel_centre(around, size, u, star, centre)
     _gather(around, size, i, x, u, scale, least, star)
     best = _star_energy(goal, around, size, u, star, energy, pull, goal) if pull > 0 else np.inf
     if best < np.inf:
-        u[i] = goal
-    centre, place = np.empty(3), np.empty(3)
-    if _kernel_centre(around, size, u, centre):
-        share = 1.0
-        for _ in range(40):
-            place[:] = share * centre + (1 - share) * u[around[0]]
-            place /= np.sqrt(place @ place)
-            value = _star_energy(place, around, size, u, star, energy, pull, goal)
-            if value < best:
-                best = value
-                u[i] = place
-            elif best < np.inf:
-                break
-            share *= 0.7
+        for c in range(3):
+            u[i, c] = goal[c]
+    share = 1.0
+    for _ in range(_PLACES if seen else 0):
+        length = 0.0
+        for c in range(3):
+            place[c] = share * centre[c] + (1 - share) * u[around[0], c]
+            length += place[c] * place[c]
+        for c in range(3):
+            place[c] /= np.sqrt(length)
+        value = _star_energy(place, around, size, u, star, energy, pull, goal)
+        if value < best:
+            best = value
+            for c in range(3):
+                u[i, c] = place[c]
+        elif best < np.inf:
+            break
+        share *= 0.7
     return best < np.inf

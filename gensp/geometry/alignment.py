@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from gensp.errors import NotEmbeddable
+from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import unit
 
 _LONGEST_STEP = 2.0
@@ -86,3 +87,15 @@ def best_rotation(
     if not allow_reflection and np.linalg.det(left @ right) < 0:
         left[:, -1] *= -1
     return left @ right
+
+
+def normal_rotation(sphere: Float[np.ndarray, "n 3"], mesh: Mesh) -> Float[np.ndarray, "3 3"]:
+    """Rotation that best turns a map's points to the surface's normals, weighed by area.
+
+    Shapes in one frame get maps in about one frame, without knowing of each other (as the program
+    of Praun & Hoppe does at its end).
+    """
+    areas = np.bincount(
+        mesh.faces.reshape(-1), np.repeat(mesh.face_areas / 3, 3), len(mesh.vertices)
+    )
+    return best_rotation(sphere, mesh.vertex_normals, areas)

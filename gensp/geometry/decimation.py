@@ -6,10 +6,9 @@ Hu, Fu & Liu 2017 and Schmidt et al. 2023).
 """
 
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from gensp.compiled.collapses import BASE, collapse_all
 from gensp.errors import NotEmbeddable
@@ -33,7 +32,7 @@ class HalfEdges:
     leaving: Int[np.ndarray, " n"]
 
     @classmethod
-    def of(cls, faces: Int[np.ndarray, "m 3"], count: int) -> Self:
+    def of(cls, faces: Int[np.ndarray, "m 3"], count: int) -> "HalfEdges":
         """Half-edges of a closed manifold with `count` vertices."""
         origin = np.ascontiguousarray(faces.reshape(-1))
         tip = np.ascontiguousarray(faces[:, [1, 2, 0]].reshape(-1))
@@ -74,7 +73,7 @@ def decimate(mesh: Mesh) -> Collapses:
     """
     halfedges = HalfEdges.of(mesh.faces, len(mesh.vertices))
     order = collapse_all(
-        mesh.vertices, mesh.faces, halfedges.origin, halfedges.twin, halfedges.leaving
+        mesh.vertices, quadrics(mesh), halfedges.origin, halfedges.twin, halfedges.leaving
     )
     left = len(mesh.vertices) - len(order)
     if left > BASE:
@@ -85,3 +84,18 @@ def decimate(mesh: Mesh) -> Collapses:
     gone = np.zeros(len(mesh.vertices), dtype=bool)
     gone[halfedges.origin[order]] = True
     return Collapses(halfedges, order, np.flatnonzero(~gone))
+
+
+def quadrics(mesh: Mesh) -> Float[np.ndarray, "n 10"]:
+    """Per vertex the coefficients of Σ_f A_f (n·x − d)² over its faces (Garland & Heckbert 1997).
+
+    In the order xx, xy, xz, yy, yz, zz, x, y, z, 1; mixed squares are given once.
+    """
+    n, corner = mesh.face_normals, mesh.vertices[mesh.faces[:, 0]]
+    d = np.einsum("mi,mi->m", n, corner)
+    squares = n[:, [0, 0, 0, 1, 1, 2]] * n[:, [0, 1, 2, 1, 2, 2]]
+    planes = np.column_stack([squares, -2 * d[:, None] * n, d**2]) * mesh.face_areas[:, None]
+    result = np.zeros((len(mesh.vertices), 10))
+    for k in range(3):
+        np.add.at(result, mesh.faces[:, k], planes)
+    return result

@@ -24,6 +24,8 @@ from gensp.geometry.sphere import unit
 
 _TETRAHEDRON = unit(np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]))
 _STILL = 1e-3  # of the mean edge: vertices that their ring moved by less are not visited
+_WORTH = 0.7  # of the vertices: a polish later than that is left to the whole map
+_STEPS = 2  # Newton steps of a vertex on each visit
 
 Polish = Callable[
     [Mesh, Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]], Float[np.ndarray, "n 3"]
@@ -84,12 +86,13 @@ def embed(
     goals = np.zeros_like(mesh.vertices) if target is None else unit(target)
     pulls = np.zeros(len(mesh.vertices)) if target is None else np.broadcast_to(pull, len(goals))
     growing = _Growing(mesh, decimate(mesh), schedule, goals, np.ascontiguousarray(pulls, float))
-    sizes = [size for size in schedule.polish if BASE < size < 0.7 * len(mesh.vertices)]
-    while not growing.whole:
-        growing.grow(sizes[0] if sizes else len(mesh.vertices))
-        if polish is not None and sizes and growing.count >= sizes[0]:
+    whole = len(mesh.vertices)
+    sizes = [size for size in schedule.polish if BASE < size < _WORTH * whole] if polish else []
+    for size in [*sizes, whole]:
+        while growing.count < size:
+            growing.grow(size)
+        if polish is not None and size < whole:
             growing.improve(polish)
-            sizes.pop(0)
     return growing.finished()
 
 
@@ -118,11 +121,6 @@ class _Growing:
     def count(self) -> int:
         """Vertices on the sphere so far."""
         return BASE + self.inserted
-
-    @property
-    def whole(self) -> bool:
-        """Whether every vertex is on the sphere."""
-        return self.inserted == len(self.order)
 
     def faces(self) -> Int[np.ndarray, "m 3"]:
         """Triangles of the map so far."""
@@ -193,7 +191,7 @@ class _Growing:
         still = _STILL * np.sqrt(SPHERE_AREA / self.count)
         settings = self._settings()
         for _ in range(passes):
-            sweep(active, still, *self._arrays(), *settings, *self.work)
+            sweep(active, still, _STEPS, *self._arrays(), *settings, *self.work)
 
     def _fail(self) -> None:
         h = int(self.order[self.inserted])

@@ -208,3 +208,12 @@ def project_positive(hessians: Float[np.ndarray, "6 6 m"]) -> Float[np.ndarray, 
     values, vectors = np.linalg.eigh(np.moveaxis(hessians, 2, 0))
     projected = (vectors * np.maximum(values, 0)[:, None]) @ vectors.swapaxes(1, 2)
     return np.ascontiguousarray(np.moveaxis(projected, 0, 2))
+
+
+def triangle_weights(mesh: Mesh, floor: float) -> Float[np.ndarray, " m"]:
+    """Factors w_t that let faces below `floor` of the mean area weigh as much as that.
+
+    Weighed by their true area, the smallest faces take the largest distortion; weighed all alike
+    (a large floor), a map follows the density of its mesh.
+    """
+    return np.maximum(1, floor * mesh.face_areas.mean() / mesh.face_areas)

@@ -13,9 +13,10 @@ from gensp.geometry.newton import Refined, refine_map
 from gensp.geometry.predicates import bad_faces, map_degree
 from gensp.geometry.refine import Untangled, untangle
 from gensp.geometry.sphere import unit
+from gensp.geometry.spherical_energy import triangle_weights
 from gensp.geometry.spherical_map import SphericalMap
 
-PREDICTION, SPREAD, UNTANGLED = "prediction", "spread", "untangled"
+PREDICTION, SPREAD, UNTANGLED, HIERARCHICAL = "prediction", "spread", "untangled", "hierarchical"
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class NoRefinement:
         u = unit(start)
         bad = int(bad_faces(u, mesh.faces).sum())
         numbers = {"seconds": 0.0, "rounds": 0, "iterations": 0, "bad_faces_start": bad}
-        return _finished(mesh, u, {"rung": PREDICTION, **numbers})
+        return finished(mesh, u, {"rung": PREDICTION, **numbers})
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ class NewtonRefinement:
         untangled = self._untangled(shape, u, folded=bad > 0)
         refined = self._minimised(shape, untangled.sphere, target)
         moved = SPREAD if bad == 0 else UNTANGLED
-        return _finished(
+        return finished(
             mesh,
             refined.sphere,
             {
@@ -123,15 +124,16 @@ class NewtonRefinement:
             start,
             target=target,
             pull=0.0 if target is None else self.pull,
-            weights=np.maximum(1, self.floor * mesh.face_areas.mean() / mesh.face_areas),
+            weights=triangle_weights(mesh, self.floor),
             max_iterations=self.max_iterations,
             tolerance=self.tolerance,
         )
 
 
-def _finished(
+def finished(
     mesh: Mesh, sphere: Float[np.ndarray, "n 3"], diagnostics: dict[str, Any]
 ) -> SphericalMap:
+    """The map of a mesh in its own coordinates, bad faces and degree in its diagnostics."""
     found = {
         "bad_faces": int(bad_faces(sphere, mesh.faces).sum()),
         "degree": map_degree(sphere, mesh.faces),

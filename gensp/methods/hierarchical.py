@@ -1,0 +1,97 @@
+"""Per-shape methods on the hierarchical embedding: every genus-0 mesh gets a bijective map."""
+
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from gensp.geometry.alignment import normal_rotation
+from gensp.geometry.embedding import Schedule, embed
+from gensp.geometry.mesh import Mesh, normalize
+from gensp.geometry.newton import Refined, refine_map
+from gensp.geometry.spherical_energy import triangle_weights
+from gensp.geometry.spherical_map import SphericalMap
+from gensp.methods.refinement import HIERARCHICAL, finished
+
+
+@dataclass(frozen=True)
+class NewtonPolish:
+    """Projected Newton on one map: energy, triangle weights, when to stop.
+
+    Attributes
+    ----------
+    energy
+        Of `compiled.energies.ENERGIES`.
+    floor
+        Of `spherical_energy.triangle_weights`.
+    max_iterations, tolerance
+        Of `newton.refine_map`.
+    """
+
+    energy: str = "dirichlet"
+    floor: float = 1.0
+    max_iterations: int = 150
+    tolerance: float = 1e-4
+
+    def __call__(self, mesh: Mesh, start: Float[np.ndarray, "n 3"]) -> Refined:
+        """The refined map of a mesh at area 4π."""
+        return refine_map(
+            mesh,
+            start,
+            weights=triangle_weights(mesh, self.floor),
+            energy=self.energy,
+            max_iterations=self.max_iterations,
+            tolerance=self.tolerance,
+        )
+
+
+@dataclass(frozen=True)
+class Hierarchical:
+    """Coarse to fine from a tetrahedron, and Newton on the way and at the end.
+
+    Attributes
+    ----------
+    name
+        What the method is called: by its energies and schedule it is one of several.
+    schedule
+        Energy and relaxations of the growing map.
+    coarse, fine
+        Newton on the growing map at the schedule's sizes, and on the whole; none: left out.
+    """
+
+    name: str = "dirichlet"
+    schedule: Schedule = field(default_factory=Schedule)
+    coarse: NewtonPolish | None = None
+    fine: NewtonPolish | None = None
+
+    def __call__(self, mesh: Mesh) -> SphericalMap:
+        """Map a genus-0 mesh, turned so that points of the sphere agree with surface normals.
+
+        Raises
+        ------
+        NotEmbeddable
+            The mesh has no map in double precision.
+        """
+        began = time.perf_counter()
+        shape = normalize(mesh)
+        u = embed(shape, schedule=self.schedule, polish=self._coarse if self.coarse else None)
+        embedded = time.perf_counter()
+        refined = Refined(u, np.nan, 0, True) if self.fine is None else self.fine(shape, u)
+        u = refined.sphere @ normal_rotation(refined.sphere, shape).T
+        ended = time.perf_counter()
+        numbers = {
+            "rung": HIERARCHICAL,
+            "iterations": refined.iterations,
+            "converged": refined.converged,
+            "seconds_embed": embedded - began,
+            "seconds_refine": ended - embedded,
+            "seconds": ended - began,
+        }
+        return finished(mesh, u, numbers)
+
+    def _coarse(
+        self, mesh: Mesh, u: Float[np.ndarray, "n 3"], vertices: Int[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "n 3"]:
+        assert self.coarse is not None
+        return self.coarse(mesh, u).sphere
