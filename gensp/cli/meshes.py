@@ -1,12 +1,10 @@
 """`gensp check` and `gensp repair`: what is wrong with meshes, and mending them."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-if TYPE_CHECKING:
-    pass
 
 
 def check(
@@ -27,8 +25,8 @@ def check(
     bad = [path for path, row in zip(files, rows, strict=True) if row[2] != "usable"]
     if bad:
         raise BadMesh(
-            f"{', '.join(map(str, bad))}: {len(bad)} of {len(files)} meshes cannot be used; "
-            "closed genus-0 surfaces are required; the table names the remedies"
+            f"{bad[0]}: cannot be used, as {len(bad)} of {len(files)} meshes; one closed surface "
+            "of genus 0 is required; the table names the remedies"
         )
 
 

@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from gensp.errors import BadMesh
 from gensp.geometry.mesh import Mesh, require_genus_zero
 
+_SINGULAR = {"vertices": "vertex", "edges": "edge", "faces": "face", "holes": "hole"}
 REPAIR, REMESH = "gensp repair", "gensp repair --remesh"
 
 
@@ -70,7 +71,7 @@ class Diagnosis:
     def findings(self) -> list[tuple[str, str]]:
         """Every finding with its remedy, the gravest first."""
         rows = [(count, words, remedy) for count, words, remedy in self._table() if count]
-        told = [(f"{count} {words}", remedy) for count, words, remedy in rows]
+        told = [(_counted(count, words), remedy) for count, words, remedy in rows]
         if self.genus:
             told.append((f"genus {self.genus}", REMESH))
         if self.inward:
@@ -82,15 +83,15 @@ class Diagnosis:
     def _table(self) -> list[tuple[int, str, str]]:
         parts = self.components if self.components > 1 else 0
         return [
-            (self.not_finite, "vertices that are not numbers", REPAIR),
-            (self.out_of_range, "faces with vertices that do not exist", "export again"),
+            (self.not_finite, "non-finite vertices", REPAIR),
+            (self.out_of_range, "faces with missing vertices", "export again"),
             (self.duplicate_vertices, "duplicate vertices", REPAIR),
             (self.degenerate_faces, "faces without area", REPAIR),
             (self.duplicate_faces, "duplicate faces", REPAIR),
             (self.nonmanifold_edges, "non-manifold edges", REPAIR),
             (self.nonmanifold_vertices, "non-manifold vertices", REPAIR),
-            (self.boundary_edges, f"boundary edges in {self.holes} holes", REPAIR),
-            (self.misoriented_edges, "edges between faces of opposite orientation", REPAIR),
+            (self.boundary_edges, f"boundary edges in {_counted(self.holes, 'holes')}", REPAIR),
+            (self.misoriented_edges, "misoriented edges", REPAIR),
             (parts, "components", REPAIR),
             (self.unused_vertices, "vertices without a face", REPAIR),
         ]
@@ -122,6 +123,14 @@ def _complaint(mesh: Mesh, max_faces: int) -> str:
     except BadMesh as error:
         return str(error)
     return ""
+
+
+def _counted(count: int, words: str) -> str:
+    """The number and its words, whose first noun comes in the plural."""
+    if count == 1:
+        plural = next(noun for noun in _SINGULAR if noun in words)
+        words = words.replace(plural, _SINGULAR[plural], 1)
+    return f"{count} {words}"
 
 
 def _bare(complaint: str) -> str:

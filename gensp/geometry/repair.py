@@ -4,7 +4,10 @@ from dataclasses import dataclass, replace
 
 import igl
 import numpy as np
-from jaxtyping import Bool, Float, Int
+import scipy.sparse as sp
+from jaxtyping import Bool, Int
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from gensp.errors import DegenerateMesh
 from gensp.geometry.diagnosis import degenerate_faces, half_edges, signed_volume
@@ -42,7 +45,8 @@ def repair(mesh: Mesh, *, weld: float = 1e-9, largest_hole: float = 1.0) -> Repa
         No triangle with an area is left.
     """
     steps: dict[str, int] = {}
-    mesh = _counted(steps, "faces dropped: corners that are no numbers", *_finite(mesh))
+    mesh = _counted(steps, "unused vertices dropped", *_without_strays(mesh))
+    mesh = _counted(steps, "faces with impossible corners dropped", *_finite(mesh))
     diagonal = bounding_diagonal(mesh)
     mesh = _counted(steps, "vertices merged", *_welded(mesh, weld * diagonal))
     mesh = _counted(steps, "faces without area removed", *_without_flat(mesh))
@@ -87,6 +91,15 @@ def _kept(mesh: Mesh, keep: Bool[np.ndarray, " m"]) -> tuple[Mesh, int]:
     return tidy(replace(mesh, faces=mesh.faces[keep])), int((~keep).sum())
 
 
+def _without_strays(mesh: Mesh) -> tuple[Mesh, int]:
+    used = np.zeros(len(mesh.vertices), dtype=bool)
+    used[mesh.faces[(mesh.faces >= 0) & (mesh.faces < len(used))]] = True
+    place = np.cumsum(used) - 1
+    known = (mesh.faces >= 0) & (mesh.faces < len(used))
+    faces = np.where(known, place[np.where(known, mesh.faces, 0)], -1)
+    return Mesh(mesh.vertices[used], faces.astype(np.int64), mesh.name), int((~used).sum())
+
+
 def _finite(mesh: Mesh) -> tuple[Mesh, int]:
     known = ((mesh.faces >= 0) & (mesh.faces < len(mesh.vertices))).all(axis=1)
     finite = np.isfinite(mesh.vertices).all(axis=1)
@@ -95,19 +108,22 @@ def _finite(mesh: Mesh) -> tuple[Mesh, int]:
 
 
 def _welded(mesh: Mesh, distance: float) -> tuple[Mesh, int]:
-    place = _exactly_welded(mesh.vertices)
-    vertices, faces = mesh.vertices, place[mesh.faces]
+    """Merge vertices that are joined by steps of at most `distance`, to the first of them."""
+    place = _first_of_each(np.unique(mesh.vertices, axis=0, return_inverse=True)[1].reshape(-1))
     if distance > 0:
-        _, kept, inverse = igl.remove_duplicate_vertices(vertices, distance)
-        # Cells of a lattice are merged, so the first of each stands for all.
-        faces = np.asarray(kept).reshape(-1)[np.asarray(inverse).reshape(-1)][faces]
-    welded = tidy(replace(mesh, faces=faces.astype(np.int64)))
+        distinct = np.unique(place)
+        pairs = cKDTree(mesh.vertices[distinct]).query_pairs(distance, output_type="ndarray")
+        n = len(distinct)
+        near = sp.csr_array((np.ones(len(pairs), bool), pairs.T), shape=(n, n))
+        cluster = connected_components(near, directed=False)[1]
+        place = distinct[_first_of_each(cluster)[np.searchsorted(distinct, place)]]
+    welded = tidy(replace(mesh, faces=place[mesh.faces].astype(np.int64)))
     return welded, len(mesh.vertices) - len(welded.vertices)
 
 
-def _exactly_welded(vertices: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:
-    """Lowest index of a vertex at the same position."""
-    _, first, inverse = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
+def _first_of_each(label: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+    """For every entry the place of the first with the same label."""
+    _, first, inverse = np.unique(label, return_index=True, return_inverse=True)
     return first[inverse.reshape(-1)]
 
 
@@ -173,28 +189,35 @@ def _flipped_caps(
 
 def _without_duplicates(mesh: Mesh) -> tuple[Mesh, int]:
     """Keep one of several equal triangles where it closes the surface, none of a loose flap."""
-    n = len(mesh.vertices)
     _, first, copies = np.unique(
-        np.sort(mesh.faces, axis=1),
-        axis=0,
-        return_index=True,
-        return_counts=True,
+        np.sort(mesh.faces, axis=1), axis=0, return_index=True, return_counts=True
     )
-    sides = half_edges(mesh.faces)
-    key = sides.min(axis=1) * n + sides.max(axis=1)
+    sides = half_edges(mesh.faces[first])
+    key = sides.min(axis=1) * len(mesh.vertices) + sides.max(axis=1)
     _, edge, count = np.unique(key, return_inverse=True, return_counts=True)
-    others = count[edge.reshape(-1, 3)][first] - copies[:, None]
-    wanted = (copies == 1) | ((others % 2 == 1).sum(axis=1) >= 2)
+    # Sides at which an odd number of other triangles meet would be open without this one.
+    needed = (count[edge.reshape(-1, 3)] % 2 == 0).sum(axis=1)
+    wanted = (copies == 1) | (needed >= 2)
     keep = np.zeros(len(mesh.faces), dtype=bool)
     keep[first[wanted]] = True
     return _kept(mesh, keep)
 
 
 def _manifold(mesh: Mesh) -> tuple[Mesh, int]:
+    """Split vertices and edges where several sheets meet; copies come after all vertices."""
     faces, source = igl.split_nonmanifold(mesh.faces)
-    vertices = mesh.vertices[np.asarray(source).reshape(-1)]
-    split = tidy(Mesh(vertices, np.asarray(faces, dtype=np.int64), mesh.name))
-    return split, len(split.vertices) - len(mesh.vertices)
+    source = np.asarray(source).reshape(-1)
+    copies = len(source) - len(np.unique(source))
+    if copies == 0:
+        return mesh, 0
+    _, first = np.unique(source, return_index=True)
+    copied = np.ones(len(source), dtype=bool)
+    copied[first] = False
+    order = np.lexsort((source, copied))
+    place = np.empty_like(order)
+    place[order] = np.arange(len(order))
+    corners = place[np.asarray(faces, dtype=np.int64)]
+    return tidy(Mesh(mesh.vertices[source[order]], corners, mesh.name)), copies
 
 
 def _oriented(mesh: Mesh) -> tuple[Mesh, int]:

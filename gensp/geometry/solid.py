@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 Field = Callable[[Float[np.ndarray, "k 3"]], Float[np.ndarray, " k"]]
 
 # Radii of the closing in diagonals, tried in turn; the first is none.
-RADII = (0.0, 0.01, 0.02, 0.04, 0.07, 0.11, 0.16, 0.24, 0.35)
+RADII = (0.0, 0.01, 0.02, 0.04, 0.07, 0.11, 0.16, 0.24, 0.35, 0.55, 0.9)
 _COARSE = 40
 _SHEET = 8.0  # cells: how far the winding number alone places the surface
 
