@@ -1,15 +1,16 @@
 """What the commands read: sound meshes, maps, methods."""
 
 import zipfile
-from dataclasses import replace
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from gensp.errors import NotGenusZero, UnreadableMesh, Unsupported
+from gensp.files import load_npz
 from gensp.geometry.diagnosis import diagnose
 from gensp.geometry.mesh import Mesh, load_mesh
-from gensp.geometry.spherical_map import SphericalMap, load_map
+from gensp.geometry.spherical_map import SphericalMap
 from gensp.methods import SphericalParameterization
 
 
@@ -50,44 +51,41 @@ def read_map(path: Path) -> SphericalMap:
             f"{path}: does not exist; a map is required; write it with gensp parameterize"
         )
     try:
-        map = load_map(path)
-        with np.load(path, allow_pickle=False) as archive:
-            extra = {k: archive[k] for k in set(archive.files) - {"vertices", "faces", "sphere"}}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:
+        arrays = load_npz(path)
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise UnreadableMesh(
-            f"{path}: cannot be read as a map ({type(error).__name__}); an npz with vertices, "
-            "faces and sphere is required; write it with gensp parameterize"
+            f"{path}: cannot be read ({type(error).__name__}); an npz with vertices, faces and "
+            "sphere is required; write it with gensp parameterize"
         ) from error
-    fault = _fault(map)
+    fault = _fault(arrays)
     if fault:
         raise UnreadableMesh(
-            f"{path}: {fault}; a map has vertices (n, 3), faces (m, 3) and unit vectors sphere "
-            "(n, 3); write it with gensp parameterize"
+            f"{path}: {fault}; vertices (n, 3), faces (m, 3) and unit vectors sphere (n, 3) are "
+            "required; write it with gensp parameterize"
         )
-    faces = np.ascontiguousarray(map.faces, dtype=np.int64)
-    sphere, surface = (np.ascontiguousarray(x, dtype=float) for x in (map.sphere, map.surface))
-    return replace(map, sphere=sphere, surface=surface, faces=faces, arrays=extra)
+    sphere, surface = (np.array(arrays[name], np.float64) for name in ("sphere", "vertices"))
+    faces = np.array(arrays["faces"], np.int64)
+    return SphericalMap(sphere, surface, faces, path.stem, arrays=arrays)
 
 
-def _fault(map: SphericalMap) -> str:
-    shapes = (map.surface.shape, map.sphere.shape, map.faces.shape)
-    if any(len(s) != 2 or s[1] != 3 or s[0] == 0 for s in shapes) or shapes[0] != shapes[1]:
-        return f"arrays of the shapes {', '.join(map_shape(s) for s in shapes)}"
-    if not np.issubdtype(map.faces.dtype, np.integer):
-        return f"faces of {map.faces.dtype}"
-    if map.faces.min() < 0 or map.faces.max() >= len(map.sphere):
-        return f"faces name vertices outside the {len(map.sphere)}"
-    if not np.isfinite(map.surface).all():
+def _fault(arrays: Mapping[str, np.ndarray]) -> str:
+    missing = {"vertices", "faces", "sphere"} - arrays.keys()
+    if missing:
+        return f"has no {', '.join(sorted(missing))}"
+    surface, sphere, faces = (arrays[name] for name in ("vertices", "sphere", "faces"))
+    flat = any(x.ndim != 2 or x.shape[1] != 3 or len(x) == 0 for x in (surface, sphere, faces))
+    if flat or len(surface) != len(sphere):
+        return f"arrays of the shapes {surface.shape}, {sphere.shape} and {faces.shape}"
+    if faces.dtype.kind not in "iu" or {surface.dtype.kind, sphere.dtype.kind} != {"f"}:
+        return f"arrays of {surface.dtype}, {sphere.dtype} and {faces.dtype}"
+    if faces.min() < 0 or faces.max() >= len(sphere):
+        return f"faces that name vertices outside the {len(sphere)}"
+    if not np.isfinite(surface).all():
         return "vertices that are not numbers"
-    length = np.linalg.norm(map.sphere, axis=1)
+    length = np.linalg.norm(sphere, axis=1)
     if not np.isfinite(length).all() or np.abs(length - 1).max() > 1e-6:
         return "sphere positions that are not unit vectors"
     return ""
-
-
-def map_shape(shape: tuple[int, ...]) -> str:
-    """A shape as numpy writes it."""
-    return str(tuple(shape))
 
 
 def chosen_method(

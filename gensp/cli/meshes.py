@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 
 
-
 def check(
     files: Annotated[list[Path], typer.Argument(help="Meshes: ply, obj, off or stl.")],
     max_faces: Annotated[int, typer.Option(min=4, help="Larger meshes are refused.")] = 200_000,

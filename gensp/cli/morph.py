@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gensp.cli.options import Align, Checkpoint, Method, Register
+from gensp.cli.options import Align, Checkpoint, Method, Register, Up, checked_axis
 
 if TYPE_CHECKING:
     from gensp.geometry.mesh import Mesh
@@ -17,7 +17,7 @@ def morph(
     out: Annotated[Path, typer.Option(help="Folder for the files.")] = Path("."),
     frames: Annotated[int, typer.Option(min=2, max=999, help="Meshes, both ends included.")] = 9,
     icosphere: Annotated[int, typer.Option(min=2, max=7, help="Level of the triangles.")] = 5,
-    up: Annotated[str, typer.Option(help="Axis that points up in the picture.")] = "y",
+    up: Up = "y",
     align: Align = None,
     method: Method = None,
     checkpoint: Checkpoint = None,
@@ -30,24 +30,18 @@ def morph(
     """
     from gensp.cli.pairs import pair_of
     from gensp.cli.terminal import two_columns, written
-    from gensp.geometry.mesh import save_mesh
+    from gensp.export.polygons import write_ply
     from gensp.geometry.morph import morphed
 
-    up = _axis(up)
+    checked_axis(up)
     pair = pair_of(a, b, method=method, checkpoint=checkpoint, register=register, align=align)
     stem = "_".join(pair.names)
     meshes = morphed(pair.a, pair.b, frames, level=icosphere, rotation=pair.rotation)
     paths = [out / f"{stem}_{k:03d}.ply" for k in range(frames)]
     for mesh, path in zip(meshes, paths, strict=True):
-        save_mesh(mesh, path)
+        write_ply(path, mesh)
     strip = _write_strip(meshes, icosphere, up, out / f"{stem}.png")
     two_columns(stem, [written([paths[0], Path("…"), paths[-1], strip])])
-
-
-def _axis(up: str) -> str:
-    if up.removeprefix("-") not in ("x", "y", "z"):
-        raise typer.BadParameter(f"--up {up}: one of x, y, z, -x, -y, -z is required")
-    return up
 
 
 def _write_strip(meshes: list["Mesh"], level: int, up: str, path: Path) -> Path:

@@ -30,3 +30,16 @@ Align = Annotated[
         show_default=False,
     ),
 ]
+Up = Annotated[str, typer.Option(help="Axis that points up: x, y, z, -x, -y or -z.")]
+
+
+def checked_axis(up: str) -> None:
+    """Refuse what is no axis.
+
+    Raises
+    ------
+    typer.BadParameter
+        Anything but x, y, z with or without a minus sign.
+    """
+    if up not in ("x", "y", "z", "-x", "-y", "-z"):
+        raise typer.BadParameter(f"--up {up}: one of x, y, z, -x, -y, -z is required")

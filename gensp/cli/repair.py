@@ -5,6 +5,7 @@ from pathlib import Path
 
 from gensp.cli.terminal import two_columns, written
 from gensp.errors import BadMesh, NotGenusZero, Unsupported
+from gensp.export.polygons import write_ply
 from gensp.export.wavefront import write_obj
 from gensp.geometry.diagnosis import Diagnosis, diagnose
 from gensp.geometry.distance import hausdorff
@@ -73,6 +74,8 @@ def write(mesh: Mesh, path: Path) -> None:
         )
     if end == ".obj":
         write_obj(path, mesh.vertices, mesh.faces)
+    elif end == ".ply":
+        write_ply(path, mesh)
     else:
         save_mesh(mesh, path)
 

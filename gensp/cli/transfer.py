@@ -10,8 +10,9 @@ import trimesh
 from gensp.cli.pairs import Pair
 from gensp.errors import MissingData, UnreadableMesh, Unsupported
 from gensp.export.baking import baked_picture, read_textured
+from gensp.export.polygons import write_ply
 from gensp.export.textured import write_textured
-from gensp.files import atomic_path, save_npz
+from gensp.files import save_npz
 from gensp.geometry.transfer import transfer
 
 
@@ -43,9 +44,7 @@ def _write_colours(pair: Pair, colours: np.ndarray, out: Path) -> None:
             f"{out}: values {colours.shape} of {colours.dtype} are no colours; a PLY takes 3 or 4 "
             "bytes a vertex; name an .npz"
         )
-    solid = trimesh.Trimesh(pair.b.surface, pair.b.faces, vertex_colors=colours, process=False)
-    with atomic_path(out) as temporary:
-        solid.export(temporary)
+    write_ply(out, pair.b.mesh, colours)
 
 
 def _read(attribute: str) -> tuple[str, np.ndarray]:

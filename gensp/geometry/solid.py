@@ -13,7 +13,7 @@ import igl
 import numpy as np
 from jaxtyping import Float
 
-from gensp.errors import EmptyLevelSet, NotGenusZero
+from gensp.errors import DegenerateMesh, EmptyLevelSet, NotGenusZero
 from gensp.geometry.distance import ClosestPointTree
 from gensp.geometry.isosurface import extract_surface
 from gensp.geometry.mesh import Mesh
@@ -54,9 +54,13 @@ def solid_surface(mesh: Mesh, *, resolution: int = 128, vertices: int | None = 5
     ------
     NotGenusZero
         Handles are left at the largest radius.
+    DegenerateMesh
+        The surface has no area.
     EmptyLevelSet
         Nothing is enclosed.
     """
+    if not mesh.area > 0:
+        raise DegenerateMesh(f"{mesh.name}: has no area; a surface is required; export it again")
     # Which radius it takes is found on a coarse grid, where a level set costs a tenth.
     coarse = min(resolution, _COARSE)
     first = next((r for r in RADII if _surface(mesh, r, coarse, None).euler == 2), RADII[-1])
