@@ -39,7 +39,7 @@ def app() -> None:
         line = fault_line(error)
         if line is None:
             raise
-        print(line, file=sys.stderr)
+        typer.echo(line, err=True)
         code = 2
     sys.exit(code or 0)
 

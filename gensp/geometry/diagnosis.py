@@ -1,6 +1,7 @@
 """What is wrong with a mesh that should be one closed genus-0 surface, counted."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import igl
 import numpy as np
@@ -138,11 +139,11 @@ def _bare(complaint: str) -> str:
     return complaint.split(": ", 1)[-1].split(";")[0]
 
 
-def _counts(mesh: Mesh) -> dict[str, int | bool | None]:
+def _counts(mesh: Mesh) -> dict[str, Any]:
     degenerate = degenerate_faces(mesh)
     faces = mesh.faces[~degenerate]
     corners = np.unique(np.sort(faces, axis=1), axis=0)
-    found: dict[str, int | bool | None] = {
+    found: dict[str, Any] = {
         "degenerate_faces": int(degenerate.sum()),
         "duplicate_faces": len(faces) - len(corners),
         "components": int(igl.facet_components(mesh.faces)[0]),

@@ -101,10 +101,9 @@ def _without_strays(mesh: Mesh) -> tuple[Mesh, int]:
 
 
 def _finite(mesh: Mesh) -> tuple[Mesh, int]:
-    known = ((mesh.faces >= 0) & (mesh.faces < len(mesh.vertices))).all(axis=1)
+    known = (mesh.faces >= 0) & (mesh.faces < len(mesh.vertices))
     finite = np.isfinite(mesh.vertices).all(axis=1)
-    known[known] = finite[mesh.faces[known]].all(axis=1)
-    return _kept(mesh, known)
+    return _kept(mesh, np.all(known & finite[np.where(known, mesh.faces, 0)], axis=1))
 
 
 def _welded(mesh: Mesh, distance: float) -> tuple[Mesh, int]:

@@ -8,9 +8,10 @@ import pytest
 
 from gensp.cli import app
 from gensp.geometry.mesh import Mesh
-from gensp.geometry.spherical_map import SphericalMap
+from gensp.geometry.spherical_map import SphericalMap, save_map
 
 Run = Callable[..., tuple[int, str, str]]
+Refused = Callable[..., str]
 
 
 @pytest.fixture
@@ -29,7 +30,7 @@ def gensp(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.fixture
-def refused(gensp: Run) -> Callable[..., str]:
+def refused(gensp: Run) -> Refused:
     """`refused(*words)` expects exit code 2 and gives the one line on stderr."""
 
     def run(*words: object) -> str:
@@ -57,3 +58,16 @@ def bumpy_file(bumpy: Mesh, tmp_path: Path) -> Path:
     path = tmp_path / "bumpy.obj"
     write_obj(path, bumpy.vertices, bumpy.faces)
     return path
+
+
+@pytest.fixture
+def map_file(bumpy_map: SphericalMap, tmp_path: Path) -> Path:
+    save_map(bumpy_map, tmp_path / "maps")
+    return tmp_path / "maps" / "bumpy.npz"
+
+
+@pytest.fixture
+def other_file(dumbbell: Mesh, tmp_path: Path) -> Path:
+    ball = dumbbell.vertices / np.linalg.norm(dumbbell.vertices, axis=1, keepdims=True)
+    save_map(SphericalMap(ball, dumbbell.vertices, dumbbell.faces, "dumbbell"), tmp_path / "maps")
+    return tmp_path / "maps" / "dumbbell.npz"
