@@ -4,7 +4,8 @@ A picture of longitudes and latitudes has a seam, where u jumps from 1 to 0, and
 u means nothing. Triangles across the seam get copies of their vertices with u + 1 (the picture
 repeats), every triangle at a pole its own copy of the pole's vertex, and a pole that lies within a
 triangle becomes a vertex. A triangle without a pole inside spans less than half of the longitudes,
-so no triangle of the result runs across the picture.
+so no triangle of the result runs across the picture. Around the poles, where longitudes are far from
+linear on a triangle, edges are halved.
 """
 
 from dataclasses import dataclass
@@ -14,7 +15,10 @@ from jaxtyping import Bool, Float, Int
 
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.predicates import spherical_orientation
+from gensp.geometry.sphere import unit
 
+_WIDEST = 1 / 24  # of the picture: an edge that spans more longitudes is halved
+_HALVINGS = 5
 _POLE = 1e-14  # distance from the axis below which a vertex has no longitude
 
 
@@ -46,9 +50,9 @@ class Unwrapped:
     uv
         Texture coordinates (k, 2), origin at the lower left; u may exceed 1 (repeat).
     faces
-        Triangles (q, 3): those of the map, split where a pole lies within.
+        Triangles (q, 3): those of the map, split around the poles.
     source
-        Vertex of the map (k,) that each is a copy of; inserted poles come after all others.
+        Vertex of the map (k,) that each is a copy of; inserted ones come after all others.
     """
 
     vertices: Float[np.ndarray, "k 3"]
@@ -72,6 +76,9 @@ def unwrap(
     """Cut a spherical map open along the seam and at the poles of its texture."""
     for pole in (1.0, -1.0):
         surface, sphere, faces = _with_pole(surface, sphere, faces, pole)
+    for _ in range(_HALVINGS):
+        surface, sphere, faces = _halved(surface, sphere, faces)
+    sphere = unit(sphere)
     uv = equirectangular(sphere)
     at_pole = _on_axis(sphere)
     u = _continued(uv[faces, 0], at_pole[faces])
@@ -96,6 +103,53 @@ def _continued(
     u = u - np.floor(np.where(at_pole, np.inf, u).min(axis=1, keepdims=True))
     others = np.where(at_pole, 0, u).sum(axis=1, keepdims=True)
     return np.where(at_pole, others / np.maximum((~at_pole).sum(axis=1, keepdims=True), 1), u)
+
+
+def _halved(
+    surface: Float[np.ndarray, "n 3"],
+    sphere: Float[np.ndarray, "n 3"],
+    faces: Int[np.ndarray, "m 3"],
+) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"], Int[np.ndarray, "q 3"]]:
+    """The same map with a vertex in the middle of every edge that spans too many longitudes."""
+    sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
+    key = sides[..., 0] * len(sphere) + sides[..., 1]
+    unique, edge = np.unique(key, return_inverse=True)
+    a, b = np.divmod(unique, len(sphere))
+    u = equirectangular(sphere)[:, 0]
+    span = np.abs(u[a] - u[b] - np.rint(u[a] - u[b]))
+    wide = (span > _WIDEST) & ~_on_axis(sphere)[a] & ~_on_axis(sphere)[b]
+    middle = np.where(wide, len(sphere) + np.cumsum(wide) - 1, -1)[edge.reshape(-1, 3)]
+    a, b = a[wide], b[wide]
+    # The map is linear on chords, so the middles stay within the sphere until the end.
+    return (
+        np.concatenate([surface, (surface[a] + surface[b]) / 2]),
+        np.concatenate([sphere, (sphere[a] + sphere[b]) / 2]),
+        split_at_middles(faces, middle),
+    )
+
+
+def split_at_middles(
+    faces: Int[np.ndarray, "m 3"], middle: Int[np.ndarray, "m 3"]
+) -> Int[np.ndarray, "q 3"]:
+    """Triangles split at given vertices in the middle of their sides, −1 where there is none.
+
+    Side k of a triangle joins its corners k and k + 1.
+    """
+    count = (middle >= 0).sum(axis=1)
+    # Turned so that a single middle lies on the first side, a single whole side is the last.
+    first = np.where(count == 2, (middle < 0).argmax(axis=1) + 1, (middle >= 0).argmax(axis=1))
+    turn = (first[:, None] + np.arange(3)) % 3
+    faces = np.take_along_axis(faces, turn, axis=1)
+    middle = np.take_along_axis(middle, turn, axis=1)
+    a, b, c, p, q, r = np.concatenate([faces, middle], axis=1).T
+    parts = {
+        0: [(a, b, c)],
+        1: [(a, p, c), (p, b, c)],
+        2: [(p, b, q), (a, p, q), (a, q, c)],
+        3: [(a, p, r), (p, b, q), (r, q, c), (p, q, r)],
+    }
+    pieces = [np.stack(t, 1)[count == n] for n, split in parts.items() for t in split]
+    return np.concatenate(pieces).astype(np.int64)
 
 
 def _on_axis(sphere: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:

@@ -56,7 +56,8 @@ def _same_in_ply(path: Path, map: SphericalMap) -> None:
 @pytest.mark.parametrize("end", [".glb", ".obj"])
 def test_textured_files_wear_the_sphere(bumpy_map: SphericalMap, tmp_path: Path, end: str) -> None:
     picture = equirectangular_picture(64)
-    write_textured(bumpy_map, picture, tmp_path / "bumpy")
+    larger = SphericalMap(bumpy_map.sphere, 2 * bumpy_map.sphere, bumpy_map.faces)
+    write_textured(larger, picture, tmp_path / "bumpy")
     loaded = trimesh.load(tmp_path / f"bumpy{end}", process=False, force="mesh")
     uv, faces = np.array(loaded.visual.uv), np.array(loaded.faces)
     assert np.ptp(uv[faces, 0], axis=1).max() < 0.5
@@ -64,7 +65,6 @@ def test_textured_files_wear_the_sphere(bumpy_map: SphericalMap, tmp_path: Path,
     level = np.cos(latitude)
     p = np.stack([level * np.cos(longitude), level * np.sin(longitude), np.sin(latitude)], 1)
     x = np.array(loaded.vertices)
-    # The map is the radial projection.
     np.testing.assert_allclose(x / np.linalg.norm(x, axis=1, keepdims=True), p, atol=1e-5)
     material = loaded.visual.material
     image = getattr(material, "baseColorTexture", None) or material.image

@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from gensp.geometry.mesh import Mesh, require_genus_zero
 from gensp.geometry.predicates import map_degree
 from gensp.geometry.sphere import icosphere, sample_sphere, unit
 from gensp.geometry.texture_coordinates import (
     equirectangular,
     equirectangular_directions,
+    split_at_middles,
     unwrap,
 )
 
@@ -86,3 +88,33 @@ def test_longitude_stays_below_one(rng: np.random.Generator) -> None:
     u = equirectangular(p)[:, 0]
     assert u.min() >= 0
     assert u.max() < 1
+
+
+@pytest.mark.parametrize("name", SPHERES)
+def test_pictures_are_read_at_the_right_place_within_triangles(
+    name: str, rng: np.random.Generator
+) -> None:
+    sphere, faces = SPHERES[name]
+    cut = unwrap(sphere, sphere, faces)
+    weights = rng.dirichlet(np.ones(3), len(cut.faces))
+    seen = np.einsum("kj,kjc->kc", weights, cut.uv[cut.faces])
+    true = unit(np.einsum("kj,kjc->kc", weights, cut.sphere[cut.faces]))
+    longitude, latitude = 2 * np.pi * seen[:, 0], np.pi * (seen[:, 1] - 0.5)
+    level = np.cos(latitude)
+    p = np.stack([level * np.cos(longitude), level * np.sin(longitude), np.sin(latitude)], 1)
+    # The icosahedron's edges are 63 degrees long, those of the others 18.
+    assert np.linalg.norm(p - true, axis=1).max() < (0.1 if name == "edge" else 0.03)
+
+
+def test_split_triangles_cover_the_same_area() -> None:
+    ball = icosphere(1)
+    sides = np.sort(ball.faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
+    edges, place = np.unique(sides.reshape(-1, 2), axis=0, return_inverse=True)
+    halved = np.arange(len(edges)) % 2 == 0
+    number = np.where(halved, len(ball.vertices) + np.cumsum(halved) - 1, -1)
+    faces = split_at_middles(ball.faces, number[place.reshape(-1, 3)])
+    points = np.concatenate([ball.vertices, ball.vertices[edges[halved]].mean(axis=1)])
+    whole = Mesh(points, faces)
+    require_genus_zero(whole)
+    assert len(faces) == len(ball.faces) + 2 * halved.sum()
+    assert whole.area == pytest.approx(ball.area)
