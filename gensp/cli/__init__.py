@@ -23,18 +23,20 @@ commands = typer.Typer(
     ),
     epilog="Start with: gensp check cow.obj, then gensp parameterize cow.obj --out maps --texture",
     add_completion=False,
-    no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 for command in (parameterize, check, repair, match, transfer, morph, view):
-    commands.command(no_args_is_help=True)(command)
+    commands.command()(command)
 
 
 def app() -> None:
-    """Run the console script: exit code 0, or 2 with one line on stderr."""
+    """Run the console script: exit code 0, 2 with one line on stderr, or 130 if interrupted."""
     try:
-        code = commands(prog_name="gensp", standalone_mode=False)
+        words = sys.argv[1:] or ["--help"]
+        code = commands(words, prog_name="gensp", standalone_mode=False)
+    except typer.Abort:
+        code = 130
     except Exception as error:
         line = fault_line(error)
         if line is None:

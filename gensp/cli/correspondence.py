@@ -52,8 +52,8 @@ def _write(found: "Matching", pair: "Pair", stem: Path) -> list[Path]:
 
 
 def transfer(
-    source: Annotated[Path, typer.Argument(help="Map (npz) of the shape that has something.")],
-    target: Annotated[Path, typer.Argument(help="Map (npz) of the shape that gets it.")],
+    source: Annotated[Path, typer.Argument(help="Map (npz), or mesh, of the shape that has it.")],
+    target: Annotated[Path, typer.Argument(help="Map (npz), or mesh, of the shape that gets it.")],
     out: Annotated[Path, typer.Option(help="npz, ply (colours), or stem of a textured mesh.")],
     attribute: Annotated[
         str | None,

@@ -4,8 +4,8 @@ A picture of longitudes and latitudes has a seam, where u jumps from 1 to 0, and
 u means nothing. Triangles across the seam get copies of their vertices with u + 1 (the picture
 repeats), every triangle at a pole its own copy of the pole's vertex, and a pole that lies within a
 triangle becomes a vertex. A triangle without a pole inside spans less than half of the longitudes,
-so no triangle of the result runs across the picture. Around the poles, where longitudes are far from
-linear on a triangle, edges are halved.
+so no triangle of the result runs across the picture. Around the poles, where longitudes are far
+from linear on a triangle, edges are halved.
 """
 
 from dataclasses import dataclass

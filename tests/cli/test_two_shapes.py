@@ -195,6 +195,7 @@ def test_bad_maps_are_told_in_one_line(
         (["parameterize", "{mesh}", "--geometry-image", "1"], "parameterize --help"),
         (["parameterize", "{mesh}", "--colour"], "parameterize --help"),
         (["morph", "{mesh}", "{mesh}", "--up", "w"], "one of x, y, z"),
+        (["match", "{mesh}"], "Missing argument 'b'; see gensp match --help"),
         (["paint"], "No such command 'paint'; see gensp --help"),
     ],
 )
