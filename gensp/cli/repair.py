@@ -1,5 +1,6 @@
 """The work of `gensp repair`: mend, require a sound mesh, compare with what was there."""
 
+import shlex
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -40,9 +41,10 @@ def mended(
         require_genus_zero(found.mesh, max_faces=max(200_000, len(mesh.faces)))
     except BadMesh as error:
         left = ", ".join(what for what, _ in diagnose(found.mesh).findings) or str(error)
+        words = shlex.join(["gensp", "repair", str(path), "OUT", "--remesh"])
         raise NotGenusZero(
-            f"{path}: {left} left after mending; one closed surface of genus 0 is required; type: "
-            f"gensp repair {path} OUT --remesh"
+            f"{path}: {left} left after mending; one closed surface of genus 0 is required; "
+            f"type: {words}"
         ) from error
     return Mended(mesh, found.mesh, {step: str(count) for step, count in found.steps.items()})
 

@@ -78,7 +78,8 @@ class Diagnosis:
         if self.inward:
             told.append(("faces look inwards", REPAIR))
         if not told and not self.usable:
-            told.append((_bare(self.complaint), "see the message"))
+            # What no count tells: too many faces, or too few.
+            told.append((_bare(self.complaint), REMESH))
         return told
 
     def _table(self) -> list[tuple[int, str, str]]:

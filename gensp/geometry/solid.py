@@ -7,20 +7,18 @@ closing, Serra 1982), which fills whatever a ball of that radius cannot enter.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import igl
 import numpy as np
+import torch
 from jaxtyping import Float
+from torch import Tensor
 
 from gensp.errors import DegenerateMesh, EmptyLevelSet, NotGenusZero
 from gensp.geometry.distance import ClosestPointTree
 from gensp.geometry.isosurface import extract_surface
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.repair import bounding_diagonal
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 Field = Callable[[Float[np.ndarray, "k 3"]], Float[np.ndarray, " k"]]
 
@@ -123,9 +121,8 @@ def _level_set(
     field: Field, mesh: Mesh, resolution: int, vertices: int | None, *, margin: float
 ) -> Mesh:
     """Largest part of a field's zero level set near a mesh."""
-    import torch
 
-    def sampled(points: "Tensor") -> "Tensor":
+    def sampled(points: Tensor) -> Tensor:
         return torch.from_numpy(field(points.numpy()))
 
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)

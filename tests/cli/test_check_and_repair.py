@@ -1,5 +1,6 @@
 """`gensp check` and `gensp repair` on good and bad files."""
 
+import shlex
 from pathlib import Path
 
 import pytest
@@ -24,6 +25,20 @@ def test_bad_meshes_are_told_in_one_line(
     assert "required" in line
     assert "shapes.on_bad" not in line
     assert sorted(tmp_path.iterdir()) == [path]
+
+
+def test_remedy_is_a_command_that_mends(
+    gensp: Run, refused: Refused, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    DEFECTS["open"][0](tmp_path / "my cup.ply")
+    line = refused("parameterize", "my cup.ply")
+    words = shlex.split(line.split("type: ")[1])
+    assert words == ["gensp", "repair", "my cup.ply", "my cup_mended.ply"]
+    assert gensp(*words[1:])[0] == 0
+    require_genus_zero(load_mesh("my cup_mended.ply"))
+    DEFECTS["genus_one"][0](tmp_path / "ring.ply")
+    assert refused("parameterize", "ring.ply").endswith("ring_mended.ply --remesh")
 
 
 def test_check_lists_all_and_ends_well_if_all_are_usable(

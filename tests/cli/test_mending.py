@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from test_bad_meshes import DEFECTS
 
-from gensp.errors import BadMesh
+from gensp.errors import BadMesh, NotGenusZero
 from gensp.geometry.diagnosis import Diagnosis, diagnose
 from gensp.geometry.distance import hausdorff
 from gensp.geometry.mesh import Mesh, load_mesh, require_genus_zero
@@ -177,6 +177,14 @@ def test_handles_are_closed(defect: Callable[[str], Mesh]) -> None:
     require_genus_zero(solid.mesh)
     assert solid.radius > 0
     assert hausdorff(solid.mesh, torus) < 1.6
+
+
+def test_handles_that_stay_are_told(
+    defect: Callable[[str], Mesh], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gensp.geometry.solid.RADII", (0.0, 0.01))
+    with pytest.raises(NotGenusZero, match=r"genus 1 is left .* radius of 0\.01 diagonals"):
+        solid_surface(defect("genus_one"), resolution=24, vertices=600)
 
 
 def test_open_shell_is_closed_across_its_hole(bumpy: Mesh) -> None:
