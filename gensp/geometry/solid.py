@@ -59,10 +59,12 @@ def solid_surface(mesh: Mesh, *, resolution: int = 128, vertices: int | None = 5
     """
     if not mesh.area > 0:
         raise DegenerateMesh(f"{mesh.name}: has no area; a surface is required; export it again")
-    # Which radius it takes is found on a coarse grid, where a level set costs a tenth.
-    coarse = min(resolution, _COARSE)
-    first = next((r for r in RADII if _surface(mesh, r, coarse, None).euler == 2), RADII[-1])
-    for radius in (r for r in RADII if r >= first):
+    radii = iter(RADII)
+    surface = _surface(mesh, next(radii), resolution, vertices)
+    if surface.euler == 2:
+        return Solid(surface, 0.0)
+    least = _least_radius(mesh, min(resolution, _COARSE))
+    for radius in (r for r in radii if r >= least):
         surface = _surface(mesh, radius, resolution, vertices)
         if surface.euler == 2:
             return Solid(surface, radius)
@@ -70,6 +72,22 @@ def solid_surface(mesh: Mesh, *, resolution: int = 128, vertices: int | None = 5
         f"{mesh.name}: genus {1 - surface.euler // 2} is left after remeshing and closing handles "
         f"up to a radius of {RADII[-1]:g} diagonals; genus 0 is required; cut the handles by hand"
     )
+
+
+def _least_radius(mesh: Mesh, resolution: int) -> float:
+    """The radius before the first that closes all handles on a coarse grid.
+
+    A level set costs a tenth there; what the coarse grid misjudges is found by the fine one.
+    """
+    before = 0.0
+    for radius in RADII[1:]:
+        try:
+            if _surface(mesh, radius, resolution, None).euler == 2:
+                break
+        except EmptyLevelSet:
+            break
+        before = radius
+    return before
 
 
 def _surface(mesh: Mesh, radius: float, resolution: int, vertices: int | None) -> Mesh:
