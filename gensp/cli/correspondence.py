@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gensp.cli.options import Align, Checkpoint, Method, Register
+from gensp.cli.options import Align, Checkpoint, Method, Out, Register
 
 if TYPE_CHECKING:
     from gensp.cli.pairs import Pair
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 def match(
     a: Annotated[Path, typer.Argument(help="A map (npz), or a mesh.")],
     b: Annotated[Path, typer.Argument(help="Another.")],
-    out: Annotated[Path, typer.Option(help="Folder for the files.")] = Path("."),
+    out: Out = Path("."),
     align: Align = None,
     method: Method = None,
     checkpoint: Checkpoint = None,

@@ -88,6 +88,9 @@ def _fault(arrays: Mapping[str, np.ndarray]) -> str:
     length = np.linalg.norm(sphere, axis=1)
     if not np.isfinite(length).all() or np.abs(length - 1).max() > 1e-6:
         return "sphere positions that are not unit vectors"
+    known = arrays.get("reliability", np.ones(len(sphere)))
+    if known.shape != (len(sphere),) or not ((known >= 0) & (known <= 1)).all():
+        return f"a reliability {known.shape} that is not a number in [0, 1] for every vertex"
     return ""
 
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gensp.cli.options import Align, Checkpoint, Method, Register, Up, checked_axis
+from gensp.cli.options import Align, Checkpoint, Method, Out, Register, Up, checked_axis
 
 if TYPE_CHECKING:
     from gensp.geometry.mesh import Mesh
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 def morph(
     a: Annotated[Path, typer.Argument(help="A map (npz), or a mesh.")],
     b: Annotated[Path, typer.Argument(help="Another.")],
-    out: Annotated[Path, typer.Option(help="Folder for the files.")] = Path("."),
+    out: Out = Path("."),
     frames: Annotated[int, typer.Option(min=2, max=999, help="Meshes, both ends included.")] = 9,
     icosphere: Annotated[int, typer.Option(min=2, max=7, help="Level of the triangles.")] = 5,
     up: Up = "y",

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+Out = Annotated[Path, typer.Option(help="Folder for the files.")]
 Method = Annotated[
     str | None,
     typer.Option(help="Method for a mesh: dirichlet (default) or cmcf. Neither is trained."),

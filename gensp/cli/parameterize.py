@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gensp.cli.options import Checkpoint, Method, Register
+from gensp.cli.options import Checkpoint, Method, Out, Register
 
 if TYPE_CHECKING:
     from gensp.geometry.spherical_map import SphericalMap
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 def parameterize(
     mesh: Annotated[Path, typer.Argument(help="Closed genus-0 mesh: ply, obj, off or stl.")],
-    out: Annotated[Path, typer.Option(help="Folder for the files.")] = Path("."),
+    out: Out = Path("."),
     method: Method = None,
     checkpoint: Checkpoint = None,
     register: Register = False,
@@ -27,22 +27,16 @@ def parameterize(
     ] = False,
     icosphere: Annotated[
         int | None,
-        typer.Option(
-            min=0, max=8, help="Write the shape with the icosphere's triangles of this level."
-        ),
+        typer.Option(min=0, max=8, help="Write the shape on this icosphere's triangles."),
     ] = None,
     geometry_image: Annotated[
-        int | None,
-        typer.Option(
-            min=3, max=4097, help="Write the octahedral geometry image, so many pixels a side."
-        ),
+        int | None, typer.Option(min=3, max=4097, help="Write so large an octahedral image.")
     ] = None,
 ) -> None:
     """Map a mesh to the unit sphere, without folds, with a certificate.
 
     Writes <stem>.npz (vertices, faces, sphere), <stem>.ply (the same, with
-    doubles px py pz) and <stem>_sphere.obj. A mesh that cannot be used is
-    named in one line; 'gensp check' tells more.
+    doubles px py pz) and <stem>_sphere.obj.
     """
     from gensp.cli.inputs import chosen_method, sound_mesh
     from gensp.cli.terminal import two_columns, written

@@ -154,6 +154,8 @@ def _maps(folder: Path, map: SphericalMap) -> dict[str, Path]:
         "nan": {"sphere": map.sphere * np.nan},
         "far": {"faces": map.faces + 1000},
         "real": {"faces": map.faces * 1.0},
+        "doubtful": {"reliability": np.full(len(map.sphere), 2.0)},
+        "doubted": {"reliability": np.ones(3)},
     }
     for name, change in wrong.items():
         np.savez(folder / f"{name}.npz", **{**arrays, **change})
