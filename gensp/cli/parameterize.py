@@ -27,7 +27,7 @@ def parameterize(
     ] = False,
     icosphere: Annotated[
         int | None,
-        typer.Option(min=0, max=8, help="Write the shape on this icosphere's triangles."),
+        typer.Option(min=0, max=8, help="Write the shape on this icosphere."),
     ] = None,
     geometry_image: Annotated[
         int | None, typer.Option(min=3, max=4097, help="Write so large an octahedral image.")
