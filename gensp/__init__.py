@@ -7,6 +7,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from gensp.api import load as load
+    from gensp.api import parameterize as parameterize
+    from gensp.api import spherical_map as spherical_map
     from gensp.geometry.mesh import Mesh as Mesh
     from gensp.geometry.mesh import load_mesh as load_mesh
     from gensp.geometry.mesh import save_mesh as save_mesh
@@ -19,6 +22,9 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
+    "load": "api",
+    "parameterize": "api",
+    "spherical_map": "api",
     "Mesh": "geometry.mesh",
     "load_mesh": "geometry.mesh",
     "save_mesh": "geometry.mesh",

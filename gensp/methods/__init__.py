@@ -13,7 +13,10 @@ class SphericalParameterization(Protocol):
     order, with those coordinates in `surface`.
     """
 
-    name: str
+    @property
+    def name(self) -> str:
+        """What the method is called in tables."""
+        ...
 
     def __call__(self, mesh: Mesh) -> SphericalMap:
         """Map one mesh."""

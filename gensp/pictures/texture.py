@@ -11,6 +11,7 @@ from jaxtyping import Float, UInt8
 from scipy.spatial import cKDTree
 
 from gensp.geometry.sphere import icosphere, unit
+from gensp.geometry.texture_coordinates import equirectangular_directions
 
 CELL_LEVEL = 3
 LINE_WIDTH = 0.012
@@ -81,6 +82,12 @@ def cube_map(size: int) -> UInt8[np.ndarray, "height size 3"]:
     ]
     p = unit(np.concatenate([np.stack(face, axis=-1) for face in faces]).reshape(-1, 3))
     return to_bytes(sphere_texture(p)).reshape(6 * size, size, 3)
+
+
+def equirectangular_picture(height: int) -> UInt8[np.ndarray, "height width 3"]:
+    """The texture by longitude and latitude, twice as wide as high, the pole +z on top."""
+    p = equirectangular_directions(height)
+    return to_bytes(sphere_texture(p.reshape(-1, 3))).reshape(p.shape)
 
 
 def to_bytes(colours: Float[np.ndarray, "... c"]) -> UInt8[np.ndarray, "... c"]:

@@ -1,0 +1,110 @@
+"""Arrays in, arrays out: what `import gensp` offers for one mesh."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from gensp.errors import DegenerateMesh
+from gensp.geometry.mesh import Mesh, require_genus_zero
+from gensp.geometry.spherical_map import SphericalMap
+from gensp.methods import SphericalParameterization
+from gensp.methods.table import DEFAULT, per_shape
+
+if TYPE_CHECKING:
+    from gensp.methods.gensp import GenSP
+
+
+def parameterize(
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    *,
+    method: str | SphericalParameterization = DEFAULT,
+) -> Float[np.ndarray, "n 3"]:
+    """Unit sphere positions of a closed genus-0 mesh's vertices, in their order.
+
+    Parameters
+    ----------
+    vertices, faces
+        Positions (n, 3) and triangles (m, 3), counter-clockwise seen from outside.
+    method
+        A name of `gensp.methods.table`, or a method such as `gensp.load` returns.
+
+    Returns
+    -------
+    Float[np.ndarray, "n 3"]
+        The map without bad faces; `gensp.spherical_map` gives it with all that belongs to it.
+
+    Raises
+    ------
+    BadMesh
+        Not a closed, oriented, connected genus-0 mesh.
+    Unsupported
+        No method has this name.
+    """
+    return spherical_map(vertices, faces, method=method).sphere
+
+
+def spherical_map(
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    *,
+    method: str | SphericalParameterization = DEFAULT,
+    name: str = "mesh",
+) -> SphericalMap:
+    """The same as a `SphericalMap`: certificate, distortion, point location, remeshes.
+
+    Parameters and errors are those of `parameterize`; `name` stands in messages and file names.
+    """
+    mesh = as_mesh(vertices, faces, name)
+    require_genus_zero(mesh)
+    return (per_shape(method) if isinstance(method, str) else method)(mesh)
+
+
+def as_mesh(vertices: ArrayLike, faces: ArrayLike, name: str = "mesh") -> Mesh:
+    """Arrays as a mesh in float64 and int64.
+
+    Raises
+    ------
+    DegenerateMesh
+        Other shapes than (n, 3) and (m, 3), or faces that are not whole numbers.
+    """
+    positions, triangles = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
+    whole = np.issubdtype(triangles.dtype, np.integer)
+    flat = [x.ndim != 2 or x.shape[1] != 3 or len(x) == 0 for x in (positions, triangles)]
+    if any(flat) or not whole:
+        raise DegenerateMesh(
+            f"{name}: vertices {positions.shape} and faces {triangles.shape} of "
+            f"{triangles.dtype}; (n, 3) numbers and (m, 3) integers are required; reshape them"
+        )
+    return Mesh(np.ascontiguousarray(positions), np.array(triangles, dtype=np.int64), name)
+
+
+def load(checkpoint: Path | str, *, register: bool = False, **settings: Any) -> "GenSP":
+    """The GenSP method with the networks of a model.pt, to be called with a mesh.
+
+    Parameters
+    ----------
+    checkpoint
+        The model.pt of stage finetune (or initialize).
+    register
+        Register the generated surface to the shape before the map is read off it: for shapes
+        that the model has never seen.
+    settings
+        Further arguments of `gensp.GenSP`, such as level, draws or refine.
+
+    Raises
+    ------
+    MissingStage
+        There is no such file.
+    Unsupported
+        The file is no model of gensp.
+    """
+    from gensp.methods.fitting import NoFit, RegisterFit
+    from gensp.methods.gensp import GenSP
+    from gensp.methods.refinement import NewtonRefinement
+
+    chosen = {"fit": RegisterFit() if register else NoFit(), "refine": NewtonRefinement()}
+    return GenSP.load(checkpoint, **{**chosen, **settings})

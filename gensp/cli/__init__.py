@@ -1,0 +1,49 @@
+"""The console script `gensp`: commands for a person with one mesh, or two.
+
+Every command does its work in functions of the library, which are imported when it runs.
+"""
+
+import sys
+
+import typer
+
+from gensp.cli.correspondence import match, transfer
+from gensp.cli.faults import fault_line
+from gensp.cli.meshes import check, repair
+from gensp.cli.morph import morph
+from gensp.cli.parameterize import parameterize
+from gensp.cli.view import view
+
+commands = typer.Typer(
+    name="gensp",
+    help=(
+        "Maps closed genus-0 meshes to the sphere and uses such maps. Meshes are read from ply, "
+        "obj, off and stl; maps from the npz that 'parameterize' writes. Collections are learnt "
+        "by 'python train.py'. Exit codes: 0 done, 2 bad input, with one line on stderr."
+    ),
+    epilog="Start with: gensp check cow.obj, then gensp parameterize cow.obj --out maps --texture",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+for command in (parameterize, check, repair, match, transfer, morph, view):
+    commands.command()(command)
+
+
+def app() -> None:
+    """Run the console script: exit code 0, 2 with one line on stderr, or 130 if interrupted."""
+    try:
+        words = sys.argv[1:] or ["--help"]
+        code = commands(words, prog_name="gensp", standalone_mode=False)
+    except typer.Abort:
+        code = 130
+    except Exception as error:
+        line = fault_line(error)
+        if line is None:
+            raise
+        typer.echo(line, err=True)
+        code = 2
+    sys.exit(code or 0)
+
+
+__all__ = ["app", "commands"]

@@ -1,0 +1,31 @@
+"""Faults of the person at the keyboard as one line, in the words of the console script."""
+
+import typer
+
+from gensp.errors import GenSPError
+
+# The library speaks to whoever runs the pipeline; here its remedies are other ones.
+_REMEDIES = {
+    ", or set shapes.on_bad=skip": "; gensp check FILE tells more",
+    ", raise shapes.max_faces, or set shapes.on_bad=skip": " (gensp repair --remesh does)",
+    "name another folder with paths.runs=FOLDER": "name another place",
+    "try fit=register or a longer training for a closer start, or keep the folded map with "
+    "refine=none": "try another --method, or --register with a model",
+    "write it again with stage=parameterize": "write it with gensp parameterize",
+}
+_USAGE = typer.BadParameter.__mro__[2]  # the base of all that the parser of the words complains of
+
+
+def fault_line(error: Exception) -> str | None:
+    """One line for a fault of the input, None for what is ours."""
+    if isinstance(error, _USAGE):
+        context = getattr(error, "ctx", None)
+        command = context.command_path if context else "gensp"
+        said = error.format_message().strip().rstrip(".").replace("\n", " ")
+        return f"{command}: {said}; see {command} --help"
+    if not isinstance(error, GenSPError):
+        return None
+    line = " ".join(str(error).split())
+    for hydra, ours in _REMEDIES.items():
+        line = line.replace(hydra, ours)
+    return f"gensp: {line}"

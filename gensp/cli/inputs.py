@@ -1,0 +1,128 @@
+"""What the commands read: sound meshes, maps, methods."""
+
+import shlex
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from gensp.errors import NotGenusZero, UnreadableMesh, Unsupported
+from gensp.files import load_npz
+from gensp.geometry.diagnosis import REMESH, diagnose
+from gensp.geometry.mesh import Mesh, load_mesh
+from gensp.geometry.spherical_map import SphericalMap
+from gensp.methods import SphericalParameterization
+
+
+def sound_mesh(path: Path) -> Mesh:
+    """Read a mesh that can go to the sphere.
+
+    Raises
+    ------
+    BadMesh
+        It cannot be read, or has a fault: all of them in one line, with the remedy.
+    """
+    mesh = load_mesh(path)
+    found = diagnose(mesh)
+    if not found.usable:
+        what = ", ".join(words for words, _ in found.findings)
+        words = ["gensp", "repair", str(path), f"{path.stem}_mended.ply"]
+        if any(remedy == REMESH for _, remedy in found.findings):
+            words.append("--remesh")
+        raise NotGenusZero(
+            f"{path}: {what}; one closed surface of genus 0 is required; type: {shlex.join(words)}"
+        )
+    return mesh
+
+
+def is_map(path: Path) -> bool:
+    """Whether a file is a map by its name."""
+    return path.suffix.lower() == ".npz"
+
+
+def read_map(path: Path) -> SphericalMap:
+    """Read a map, checked; its other arrays are kept in `arrays`.
+
+    Raises
+    ------
+    UnreadableMesh
+        No such file, no npz, or arrays that are no spherical map.
+    """
+    if not path.is_file():
+        raise UnreadableMesh(
+            f"{path}: does not exist; a map is required; write it with gensp parameterize"
+        )
+    try:
+        arrays = load_npz(path)
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise UnreadableMesh(
+            f"{path}: cannot be read ({type(error).__name__}); an npz with vertices, faces and "
+            "sphere is required; write it with gensp parameterize"
+        ) from error
+    fault = _fault(arrays)
+    if fault:
+        raise UnreadableMesh(
+            f"{path}: {fault}; vertices (n, 3), faces (m, 3) and unit vectors sphere (n, 3) are "
+            "required; write it with gensp parameterize"
+        )
+    sphere, surface = (np.array(arrays[name], np.float64) for name in ("sphere", "vertices"))
+    faces = np.array(arrays["faces"], np.int64)
+    return SphericalMap(sphere, surface, faces, path.stem, arrays=arrays)
+
+
+def _fault(arrays: Mapping[str, np.ndarray]) -> str:
+    missing = {"vertices", "faces", "sphere"} - arrays.keys()
+    if missing:
+        return f"has no {', '.join(sorted(missing))}"
+    surface, sphere, faces = (arrays[name] for name in ("vertices", "sphere", "faces"))
+    flat = any(x.ndim != 2 or x.shape[1] != 3 or len(x) == 0 for x in (surface, sphere, faces))
+    if flat or len(surface) != len(sphere):
+        return f"arrays of the shapes {surface.shape}, {sphere.shape} and {faces.shape}"
+    if faces.dtype.kind not in "iu" or {surface.dtype.kind, sphere.dtype.kind} != {"f"}:
+        return f"arrays of {surface.dtype}, {sphere.dtype} and {faces.dtype}"
+    if faces.min() < 0 or faces.max() >= len(sphere):
+        return f"faces that name vertices outside the {len(sphere)}"
+    if not np.isfinite(surface).all():
+        return "vertices that are not numbers"
+    length = np.linalg.norm(sphere, axis=1)
+    if not np.isfinite(length).all() or np.abs(length - 1).max() > 1e-6:
+        return "sphere positions that are not unit vectors"
+    known = arrays.get("reliability", np.ones(len(sphere)))
+    if known.shape != (len(sphere),) or not ((known >= 0) & (known <= 1)).all():
+        return f"a reliability {known.shape} that is not a number in [0, 1] for every vertex"
+    return ""
+
+
+def chosen_method(
+    method: str | None, checkpoint: Path | None, register: bool
+) -> SphericalParameterization:
+    """The method that the options name.
+
+    Raises
+    ------
+    Unsupported
+        Options that exclude each other, or an unknown name.
+    """
+    from gensp.methods.table import DEFAULT, per_shape
+
+    if checkpoint is None:
+        if register:
+            raise Unsupported("--register: belongs to a model; --checkpoint is required; add it")
+        return per_shape(method or DEFAULT)
+    if method not in (None, "gensp"):
+        raise Unsupported(
+            f"--method {method} with --checkpoint: a model is a method of its own; only one of "
+            "them is possible; leave one out"
+        )
+    from gensp.api import load
+
+    return load(checkpoint, register=register)
+
+
+def map_of(path: Path, method: SphericalParameterization | None) -> SphericalMap:
+    """A map as it is read, or that of a mesh by a method."""
+    if is_map(path):
+        return read_map(path)
+    assert method is not None
+    return method(sound_mesh(path))

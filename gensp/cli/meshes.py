@@ -1,0 +1,87 @@
+"""`gensp check` and `gensp repair`: what is wrong with meshes, and mending them."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def check(
+    files: Annotated[list[Path], typer.Argument(help="Meshes: ply, obj, off or stl.")],
+    max_faces: Annotated[int, typer.Option(min=4, help="Larger meshes are refused.")] = 200_000,
+) -> None:
+    """Say what is wrong with each mesh and what mends it.
+
+    Counts boundary, non-manifold and misoriented edges, components, genus,
+    degenerate and duplicate faces, duplicate vertices. Exit code 2 if any of
+    the meshes cannot be used.
+    """
+    from gensp.cli.terminal import show_table
+    from gensp.errors import BadMesh
+
+    rows = [_checked(path, max_faces) for path in files]
+    show_table("", ["mesh", "vertices, faces", "verdict", "found", "remedy"], rows)
+    bad = [path for path, row in zip(files, rows, strict=True) if row[2] != "usable"]
+    if bad:
+        raise BadMesh(
+            f"{bad[0]}: cannot be used, as {len(bad)} of {len(files)} meshes; one closed surface "
+            "of genus 0 is required; the table names the remedies"
+        )
+
+
+def _checked(path: Path, max_faces: int) -> tuple[str, ...]:
+    from gensp.errors import BadMesh
+    from gensp.geometry.diagnosis import diagnose
+    from gensp.geometry.mesh import load_mesh
+
+    try:
+        found = diagnose(load_mesh(path), max_faces=max_faces)
+    except BadMesh as error:
+        what, *_, remedy = str(error).removeprefix(f"{path}: ").split("; ")
+        return str(path), "–", "unreadable", what, remedy
+    words = "\n".join(what for what, _ in found.findings) or "nothing"
+    remedies = "\n".join(dict.fromkeys(remedy for _, remedy in found.findings))
+    if found.usable and remedies:
+        remedies = "none is needed"
+    verdict = "usable" if found.usable else "not usable"
+    return str(path), f"{found.vertices}, {found.faces}", verdict, words, remedies
+
+
+def repair(
+    mesh: Annotated[Path, typer.Argument(help="The mesh to mend.")],
+    out: Annotated[Path, typer.Argument(help="The mended mesh: ply, obj, off or stl.")],
+    remesh: Annotated[
+        bool,
+        typer.Option(
+            "--remesh",
+            help="New triangles around what the winding number calls inside: for soups, parts "
+            "that pass through each other, and handles, which are closed.",
+        ),
+    ] = False,
+    resolution: Annotated[
+        int, typer.Option(min=16, max=512, help="With --remesh: cells along the longest side.")
+    ] = 128,
+    vertices: Annotated[
+        int, typer.Option(min=100, help="With --remesh: about so many vertices.")
+    ] = 5000,
+    largest_hole: Annotated[
+        float, typer.Option(min=0, help="Longest rim of a hole to fill, in diagonals of the mesh.")
+    ] = 1.0,
+) -> None:
+    """Mend a mesh so that it can be parameterized, and report the change.
+
+    Mends orientation, duplicate vertices and faces, faces without area,
+    non-manifold edges, holes, and drops all parts but the largest. Nothing
+    is written unless the result is sound.
+    """
+    from gensp.cli.repair import mended, report, write
+
+    result = mended(
+        mesh,
+        remesh=remesh,
+        resolution=resolution,
+        vertices=vertices,
+        largest_hole=largest_hole,
+    )
+    write(result.after, out)
+    report(result, out)

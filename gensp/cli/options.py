@@ -1,0 +1,46 @@
+"""Options that several commands share."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Out = Annotated[Path, typer.Option(help="Folder for the files.")]
+Method = Annotated[
+    str | None,
+    typer.Option(help="Method for a mesh: dirichlet (default) or cmcf. Neither is trained."),
+]
+Checkpoint = Annotated[
+    Path | None,
+    typer.Option(help="Use GenSP with the networks of this model.pt instead of a --method."),
+]
+Register = Annotated[
+    bool,
+    typer.Option(
+        "--register",
+        help="With --checkpoint: register the generated surface to the shape first. For shapes "
+        "that the model has never seen.",
+    ),
+]
+Align = Annotated[
+    bool | None,
+    typer.Option(
+        "--align/--no-align",
+        help="Rotate the first sphere so that the shapes agree. Without this option: for meshes "
+        "that are parameterized here by a method, not for maps or a model's.",
+        show_default=False,
+    ),
+]
+Up = Annotated[str, typer.Option(help="Axis that points up: x, y, z, -x, -y or -z.")]
+
+
+def checked_axis(up: str) -> None:
+    """Refuse what is no axis.
+
+    Raises
+    ------
+    typer.BadParameter
+        Anything but x, y, z with or without a minus sign.
+    """
+    if up not in ("x", "y", "z", "-x", "-y", "-z"):
+        raise typer.BadParameter(f"--up {up}: one of x, y, z, -x, -y, -z is required")

@@ -1,0 +1,55 @@
+"""Two shapes for one command: their maps, and the rotation that brings them together."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gensp.cli.inputs import chosen_method, is_map, map_of
+from gensp.errors import NotGenusZero
+from gensp.geometry.matching import aligning_rotation
+from gensp.geometry.spherical_map import SphericalMap
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Maps of two shapes, and the rotation from the first one's sphere to the second's."""
+
+    a: SphericalMap
+    b: SphericalMap
+    rotation: np.ndarray
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """Two different names for files."""
+        a, b = self.a.name, self.b.name
+        return (a, b) if a != b else (f"{a}1", f"{b}2")
+
+
+def pair_of(
+    a: Path,
+    b: Path,
+    *,
+    method: str | None = None,
+    checkpoint: Path | None = None,
+    register: bool = False,
+    align: bool | None = None,
+) -> Pair:
+    """Read or make the two maps; maps of meshes are aligned unless a model made them.
+
+    Raises
+    ------
+    GenSPError
+        An input cannot be used, or a map has folds.
+    """
+    meshes = not (is_map(a) and is_map(b))
+    made = chosen_method(method, checkpoint, register) if meshes else None
+    first, second = map_of(a, made), map_of(b, made)
+    for path, map in ((a, first), (b, second)):
+        if not map.certify():
+            raise NotGenusZero(
+                f"{path}: {map.certify()}; a bijective map is required; make it again with "
+                "gensp parameterize"
+            )
+    wanted = meshes and checkpoint is None if align is None else align
+    return Pair(first, second, aligning_rotation(first, second) if wanted else np.eye(3))

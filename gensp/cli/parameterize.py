@@ -1,0 +1,103 @@
+"""`gensp parameterize`: one mesh to the sphere, and what can be made of its map."""
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gensp.cli.options import Checkpoint, Method, Out, Register
+
+if TYPE_CHECKING:
+    from gensp.geometry.spherical_map import SphericalMap
+
+
+def parameterize(
+    mesh: Annotated[Path, typer.Argument(help="Closed genus-0 mesh: ply, obj, off or stl.")],
+    out: Out = Path("."),
+    method: Method = None,
+    checkpoint: Checkpoint = None,
+    register: Register = False,
+    texture: Annotated[
+        bool,
+        typer.Option(
+            "--texture",
+            help="Write <stem>_textured.glb and .obj with .mtl, .png: a sphere texture.",
+        ),
+    ] = False,
+    icosphere: Annotated[
+        int | None,
+        typer.Option(min=0, max=8, help="Write the shape on this icosphere."),
+    ] = None,
+    geometry_image: Annotated[
+        int | None, typer.Option(min=3, max=4097, help="Write so large an octahedral image.")
+    ] = None,
+) -> None:
+    """Map a mesh to the unit sphere, without folds, with a certificate.
+
+    Writes <stem>.npz (vertices, faces, sphere), <stem>.ply (the same, with
+    doubles px py pz) and <stem>_sphere.obj.
+    """
+    from gensp.cli.inputs import chosen_method, sound_mesh
+    from gensp.cli.terminal import two_columns, written
+
+    began = time.perf_counter()
+    surface = sound_mesh(mesh)
+    map = chosen_method(method, checkpoint, register)(surface)
+    seconds = time.perf_counter() - began
+    paths = _write_map(map, out)
+    if texture:
+        paths += _write_texture(map, out)
+    if icosphere is not None:
+        paths += _write_remesh(map, out, icosphere)
+    if geometry_image is not None:
+        paths += _write_image(map, out, geometry_image)
+    two_columns(map.name, [*_figures(map, seconds), written(paths)])
+
+
+def _figures(map: "SphericalMap", seconds: float) -> list[tuple[str, str]]:
+    found, measured = map.certify(), map.distortion()
+    return [
+        ("vertices, faces", f"{len(map.sphere)}, {len(map.faces)}"),
+        ("certificate", str(found)),
+        ("isometric σ", f"mean {measured.mean:.3f}, max {measured.max:.3f}"),
+        ("isometric σ by area", f"mean {measured.area_weighted_mean:.3f}"),
+        ("conformal σ", f"mean {measured.conformal_mean:.3f}, max {measured.conformal_max:.3f}"),
+        ("seconds", f"{seconds:.2f}"),
+    ]
+
+
+def _write_map(map: "SphericalMap", out: Path) -> list[Path]:
+    from gensp.export.wavefront import write_obj
+    from gensp.geometry.spherical_map import save_map
+
+    save_map(map, out)
+    sphere = out / f"{map.name}_sphere.obj"
+    write_obj(sphere, map.sphere, map.faces)
+    return [out / f"{map.name}.npz", out / f"{map.name}.ply", sphere]
+
+
+def _write_texture(map: "SphericalMap", out: Path) -> list[Path]:
+    from gensp.export.textured import write_textured
+    from gensp.pictures.texture import equirectangular_picture
+
+    picture = equirectangular_picture(1024)
+    return write_textured(map, picture, out / f"{map.name}_textured")
+
+
+def _write_remesh(map: "SphericalMap", out: Path, level: int) -> list[Path]:
+    from gensp.geometry.sphere import icosphere
+    from gensp.geometry.spherical_map import SphericalMap, save_map
+
+    ball, name = icosphere(level), f"{map.name}_icosphere{level}"
+    remesh = map.icosphere_remesh(level)
+    save_map(SphericalMap(ball.vertices, remesh.vertices, ball.faces, name), out)
+    return [out / f"{name}.npz", out / f"{name}.ply"]
+
+
+def _write_image(map: "SphericalMap", out: Path, size: int) -> list[Path]:
+    from gensp.export.images import write_geometry_image
+    from gensp.geometry.octahedral import geometry_image
+
+    positions = geometry_image(map, size)
+    return write_geometry_image(positions, out / f"{map.name}_geometry{size}.png")

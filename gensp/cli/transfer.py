@@ -1,0 +1,85 @@
+"""The work of `gensp transfer`: what is read, carried and written."""
+
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from gensp.cli.pairs import Pair
+from gensp.errors import MissingData, UnreadableMesh, Unsupported
+from gensp.export.baking import baked_picture, read_textured
+from gensp.export.polygons import write_ply
+from gensp.export.textured import write_textured
+from gensp.files import save_npz
+from gensp.geometry.transfer import transfer
+
+
+def transfer_texture(pair: Pair, path: Path, out: Path, height: int) -> list[Path]:
+    """Bake the source's texture and dress the target in it."""
+    picture = baked_picture(read_textured(path), pair.a, height, pair.rotation)
+    return write_textured(pair.b, picture, out)
+
+
+def transfer_attribute(pair: Pair, attribute: str, out: Path) -> list[Path]:
+    """Carry one array from vertices to vertices."""
+    name, values = _read(attribute)
+    carried = transfer(values, pair.a, pair.b, pair.rotation)
+    if out.suffix.lower() == ".npz":
+        save_npz(out, **{name: carried})
+    elif out.suffix.lower() == ".ply":
+        _write_colours(pair, carried, out)
+    else:
+        raise Unsupported(
+            f"{out}: format '{out.suffix}' is not written; .npz, or .ply for colours, is "
+            "required; name another file"
+        )
+    return [out]
+
+
+def _write_colours(pair: Pair, colours: np.ndarray, out: Path) -> None:
+    if colours.dtype != np.uint8 or colours.ndim != 2 or colours.shape[1] not in (3, 4):
+        raise Unsupported(
+            f"{out}: values {colours.shape} of {colours.dtype} are no colours; a PLY takes 3 or 4 "
+            "bytes a vertex; name an .npz"
+        )
+    write_ply(out, pair.b.mesh, colours)
+
+
+def _read(attribute: str) -> tuple[str, np.ndarray]:
+    """Name and values of FILE.npz:NAME, or the vertex colours of a PLY."""
+    if attribute.lower().endswith(".ply"):
+        return "colours", _colours(Path(attribute))
+    file, _, name = attribute.rpartition(":")
+    path = Path(file)
+    if not path.is_file() or path.suffix.lower() != ".npz":
+        raise MissingData(
+            f"{attribute}: names no array; FILE.npz:NAME or a PLY with vertex colours is "
+            "required; correct --attribute"
+        )
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            if name in archive.files:
+                return name, archive[name]
+            names = ", ".join(archive.files)
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise UnreadableMesh(
+            f"{path}: cannot be read ({type(error).__name__}); an npz of plain arrays is "
+            "required; write it again"
+        ) from error
+    raise MissingData(f"{path}: has no array '{name}'; it has {names}; name one of them")
+
+
+def _colours(path: Path) -> np.ndarray:
+    try:
+        visual: Any = trimesh.load(path, process=False, force="mesh", maintain_order=True).visual
+    # Readers of damaged files raise whatever their parser met; the file is at fault in each case.
+    except Exception as error:
+        raise UnreadableMesh(
+            f"{path}: cannot be read ({type(error).__name__}); a PLY with vertex colours is "
+            "required; export it again"
+        ) from error
+    if visual.kind != "vertex":
+        raise MissingData(f"{path}: has no vertex colours; they are required; name another file")
+    return np.asarray(visual.vertex_colors, dtype=np.uint8)

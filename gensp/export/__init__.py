@@ -1,0 +1,1 @@
+"""Files for other programs: OBJ, GLB, 16-bit PNG, float TIFF."""

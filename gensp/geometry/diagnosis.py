@@ -1,0 +1,222 @@
+"""What is wrong with a mesh that should be one closed genus-0 surface, counted."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import igl
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Bool, Float, Int
+from scipy.sparse.csgraph import connected_components
+
+from gensp.errors import BadMesh
+from gensp.geometry.mesh import Mesh, require_genus_zero
+
+_SINGULAR = {"vertices": "vertex", "edges": "edge", "faces": "face", "holes": "hole"}
+REPAIR, REMESH = "gensp repair", "gensp repair --remesh"
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Counts of everything that can keep a mesh from the sphere.
+
+    Attributes
+    ----------
+    not_finite, out_of_range
+        Vertices that are not numbers; faces that name vertices which do not exist.
+    degenerate_faces, duplicate_faces
+        Triangles without area; triangles that repeat another's corners.
+    duplicate_vertices, unused_vertices
+        Vertices at another's position; vertices without a face.
+    boundary_edges, holes
+        Edges with one face; closed loops of them.
+    nonmanifold_edges, nonmanifold_vertices
+        Edges with more than two faces; vertices whose faces are several fans.
+    misoriented_edges
+        Edges that their two faces run through in the same direction.
+    components
+        Parts that are connected through edges.
+    genus
+        Handles, with every hole closed; None where that means nothing.
+    inward
+        The faces look inwards.
+    complaint
+        What `require_genus_zero` says; empty if the mesh can be used.
+    """
+
+    name: str
+    vertices: int
+    faces: int
+    not_finite: int = 0
+    out_of_range: int = 0
+    degenerate_faces: int = 0
+    duplicate_faces: int = 0
+    duplicate_vertices: int = 0
+    unused_vertices: int = 0
+    boundary_edges: int = 0
+    holes: int = 0
+    nonmanifold_edges: int = 0
+    nonmanifold_vertices: int = 0
+    misoriented_edges: int = 0
+    components: int = 0
+    genus: int | None = None
+    inward: bool = False
+    complaint: str = ""
+
+    @property
+    def usable(self) -> bool:
+        """Whether the mesh can be parameterized as it is."""
+        return not self.complaint
+
+    @property
+    def findings(self) -> list[tuple[str, str]]:
+        """Every finding with its remedy, the gravest first."""
+        rows = [(count, words, remedy) for count, words, remedy in self._table() if count]
+        told = [(_counted(count, words), remedy) for count, words, remedy in rows]
+        if self.genus:
+            told.append((f"genus {self.genus}", REMESH))
+        if self.inward:
+            told.append(("faces look inwards", REPAIR))
+        if not told and not self.usable:
+            # What no count tells: too many faces, or too few.
+            told.append((_bare(self.complaint), REMESH))
+        return told
+
+    def _table(self) -> list[tuple[int, str, str]]:
+        parts = self.components if self.components > 1 else 0
+        return [
+            (self.not_finite, "non-finite vertices", REPAIR),
+            (self.out_of_range, "faces with missing vertices", "export again"),
+            (self.duplicate_vertices, "duplicate vertices", REPAIR),
+            (self.degenerate_faces, "faces without area", REPAIR),
+            (self.duplicate_faces, "duplicate faces", REPAIR),
+            (self.nonmanifold_edges, "non-manifold edges", REPAIR),
+            (self.nonmanifold_vertices, "non-manifold vertices", REPAIR),
+            (self.boundary_edges, f"boundary edges in {_counted(self.holes, 'holes')}", REPAIR),
+            (self.misoriented_edges, "misoriented edges", REPAIR),
+            (parts, "components", REPAIR),
+            (self.unused_vertices, "vertices without a face", REPAIR),
+        ]
+
+
+def diagnose(mesh: Mesh, *, max_faces: int = 200_000) -> Diagnosis:
+    """Count what is wrong with a mesh; never raises for what it finds."""
+    known = (mesh.faces >= 0).all(axis=1) & (mesh.faces < len(mesh.vertices)).all(axis=1)
+    finite = np.isfinite(mesh.vertices).all(axis=1)
+    sound = np.where(finite[:, None], mesh.vertices, 0.0)
+    part = Mesh(sound, mesh.faces[known], mesh.name)
+    counts = _counts(part) if len(part.faces) else {}
+    return Diagnosis(
+        name=mesh.name,
+        vertices=len(mesh.vertices),
+        faces=len(mesh.faces),
+        not_finite=int((~finite).sum()),
+        out_of_range=int((~known).sum()),
+        duplicate_vertices=len(sound) - len(np.unique(mesh.vertices, axis=0)),
+        unused_vertices=len(sound) - len(np.unique(part.faces)),
+        complaint=_complaint(mesh, max_faces),
+        **counts,
+    )
+
+
+def _complaint(mesh: Mesh, max_faces: int) -> str:
+    try:
+        require_genus_zero(mesh, max_faces=max_faces)
+    except BadMesh as error:
+        return str(error)
+    return ""
+
+
+def _counted(count: int, words: str) -> str:
+    """The number and its words, whose first noun comes in the plural."""
+    if count == 1:
+        plural = next(noun for noun in _SINGULAR if noun in words)
+        words = words.replace(plural, _SINGULAR[plural], 1)
+    return f"{count} {words}"
+
+
+def _bare(complaint: str) -> str:
+    """What was found, without the mesh's name and the remedy."""
+    return complaint.split(": ", 1)[-1].split(";")[0]
+
+
+def _counts(mesh: Mesh) -> dict[str, Any]:
+    degenerate = degenerate_faces(mesh)
+    faces = mesh.faces[~degenerate]
+    corners = np.unique(np.sort(faces, axis=1), axis=0)
+    found: dict[str, Any] = {
+        "degenerate_faces": int(degenerate.sum()),
+        "duplicate_faces": len(faces) - len(corners),
+        "components": int(igl.facet_components(mesh.faces)[0]),
+    }
+    if len(faces) == 0:
+        return found
+    edges = _edge_counts(faces)
+    loops = _loops(faces)
+    fans = int((~np.asarray(igl.is_vertex_manifold(faces)))[np.unique(faces)].sum())
+    found |= {**edges, "holes": loops, "nonmanifold_vertices": fans}
+    if edges["nonmanifold_edges"] == 0 and fans == 0:
+        parts = int(igl.facet_components(faces)[0])
+        # Every hole closed by a disc adds one to the Euler characteristic.
+        closed = Mesh(mesh.vertices, faces).euler + loops
+        found["genus"] = parts - closed // 2
+        if edges["boundary_edges"] + edges["misoriented_edges"] == 0 and parts == 1:
+            found["inward"] = signed_volume(mesh.vertices, faces) < 0
+    return found
+
+
+def degenerate_faces(mesh: Mesh, smallest: float = 1e-15) -> Bool[np.ndarray, " m"]:
+    """Faces with a repeated corner, or with less than `smallest` of the total area."""
+    repeated = (np.diff(np.sort(mesh.faces, axis=1), axis=1) == 0).any(axis=1)
+    return repeated | (mesh.face_areas <= smallest * max(mesh.area, np.finfo(float).tiny))
+
+
+def signed_volume(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> float:
+    """Volume within a closed surface, negative where its faces look inwards."""
+    centred = (vertices - vertices.mean(axis=0))[faces]
+    return float(np.linalg.det(centred).sum() / 6)
+
+
+def half_edges(faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "h 2"]:
+    """Start and end of the three sides of every face, one face after the other."""
+    return faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+
+
+def _edge_counts(faces: Int[np.ndarray, "m 3"]) -> dict[str, int]:
+    sides = half_edges(faces)
+    n = int(faces.max()) + 1
+    undirected = sides.min(axis=1) * n + sides.max(axis=1)
+    _, edge, count = np.unique(undirected, return_inverse=True, return_counts=True)
+    forward = np.bincount(edge.reshape(-1), weights=sides[:, 0] < sides[:, 1])
+    return {
+        "boundary_edges": int((count == 1).sum()),
+        "nonmanifold_edges": int((count > 2).sum()),
+        "misoriented_edges": int(((count == 2) & (forward != 1)).sum()),
+    }
+
+
+def boundary_half_edges(faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "b 2"]:
+    """Sides of faces that have no second face, in their face's direction."""
+    sides = half_edges(faces)
+    n = int(faces.max()) + 1
+    undirected = sides.min(axis=1) * n + sides.max(axis=1)
+    _, edge, count = np.unique(undirected, return_inverse=True, return_counts=True)
+    return sides[count[edge.reshape(-1)] == 1]
+
+
+def _loops(faces: Int[np.ndarray, "m 3"]) -> int:
+    """Connected sets of boundary edges."""
+    return int(boundary_labels(boundary_half_edges(faces))[0])
+
+
+def boundary_labels(
+    sides: Int[np.ndarray, "b 2"],
+) -> tuple[int, Int[np.ndarray, " b"]]:
+    """Number of connected sets of edges, and the set of each."""
+    if len(sides) == 0:
+        return 0, np.zeros(0, dtype=np.int64)
+    used, places = np.unique(sides, return_inverse=True)
+    start, end = places.reshape(-1, 2).T
+    graph = sp.csr_array((np.ones(len(start), bool), (start, end)), shape=(len(used),) * 2)
+    count, label = connected_components(graph, directed=False)
+    return int(count), label[start].astype(np.int64)

@@ -1,0 +1,96 @@
+"""`gensp check` and `gensp repair` on good and bad files."""
+
+import shlex
+from pathlib import Path
+
+import pytest
+from conftest import Refused, Run
+from test_bad_meshes import DEFECTS
+
+from gensp.geometry.mesh import load_mesh, require_genus_zero
+
+BROKEN = [name for name in DEFECTS if name != "huge"]
+
+
+@pytest.mark.parametrize("defect", BROKEN)
+@pytest.mark.parametrize("command", ["parameterize", "check", "match"])
+def test_bad_meshes_are_told_in_one_line(
+    refused: Refused, tmp_path: Path, defect: str, command: str
+) -> None:
+    path = tmp_path / f"{defect}.ply"
+    DEFECTS[defect][0](path)
+    words = {"match": (path, path)}.get(command, (path,))
+    line = refused(command, *words, *(("--out", tmp_path) if command != "check" else ()))
+    assert str(path) in line
+    assert "required" in line
+    assert "shapes.on_bad" not in line
+    assert sorted(tmp_path.iterdir()) == [path]
+
+
+def test_remedy_is_a_command_that_mends(
+    gensp: Run, refused: Refused, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    DEFECTS["open"][0](tmp_path / "my cup.ply")
+    line = refused("parameterize", "my cup.ply")
+    words = shlex.split(line.split("type: ")[1])
+    assert words == ["gensp", "repair", "my cup.ply", "my cup_mended.ply"]
+    assert gensp(*words[1:])[0] == 0
+    require_genus_zero(load_mesh("my cup_mended.ply"))
+    DEFECTS["genus_one"][0](tmp_path / "ring.ply")
+    assert refused("parameterize", "ring.ply").endswith("ring_mended.ply --remesh")
+
+
+def test_check_lists_all_and_ends_well_if_all_are_usable(
+    gensp: Run, bumpy_file: Path, tmp_path: Path
+) -> None:
+    code, said, complaint = gensp("check", bumpy_file, bumpy_file)
+    assert (code, complaint) == (0, "")
+    assert said.count("usable") == 2
+    ring = tmp_path / "ring.ply"
+    DEFECTS["genus_one"][0](ring)
+    code, said, _ = gensp("check", bumpy_file, ring, tmp_path / "missing.ply")
+    assert code == 2
+    for words in ("nothing", "genus 1", "gensp repair --remesh", "does not exist"):
+        assert words in said
+
+
+@pytest.mark.parametrize("end", [".ply", ".obj", ".off"])
+def test_repair_writes_a_sound_mesh(gensp: Run, tmp_path: Path, end: str) -> None:
+    broken, mended = tmp_path / "cup.ply", tmp_path / f"mended{end}"
+    DEFECTS["open"][0](broken)
+    code, said, _ = gensp("repair", broken, mended)
+    assert code == 0
+    assert "holes filled" in said
+    assert "0 of the diagonal" in said
+    require_genus_zero(load_mesh(mended))
+
+
+def test_repair_remeshes_when_asked(gensp: Run, refused: Refused, tmp_path: Path) -> None:
+    parts, mended = tmp_path / "ring.ply", tmp_path / "mended.ply"
+    DEFECTS["genus_one"][0](parts)
+    line = refused("repair", parts, mended)
+    assert "genus 1 left after mending" in line
+    assert "--remesh" in line
+    assert not mended.exists()
+    code, said, _ = gensp(
+        "repair", parts, mended, "--remesh", "--resolution", 24, "--vertices", 600
+    )
+    assert code == 0
+    assert "1 → 0" in said
+    require_genus_zero(load_mesh(mended))
+
+
+def test_repair_refuses_formats_it_cannot_write(refused: Refused, tmp_path: Path) -> None:
+    broken = tmp_path / "cup.ply"
+    DEFECTS["open"][0](broken)
+    assert "format '.xyz' is not written" in refused("repair", broken, tmp_path / "cup.xyz")
+
+
+@pytest.mark.parametrize("defect", ["empty", "no_triangles", "garbage", "truncated", "flat"])
+def test_repair_of_nothing_is_told(refused: Refused, tmp_path: Path, defect: str) -> None:
+    path = tmp_path / f"{defect}.ply"
+    DEFECTS[defect][0](path)
+    for more in ((), ("--remesh",)):
+        assert "required" in refused("repair", path, tmp_path / "mended.ply", *more)
+    assert not (tmp_path / "mended.ply").exists()

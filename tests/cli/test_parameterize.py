@@ -1,0 +1,146 @@
+"""`gensp parameterize`: every file it writes reads back."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from conftest import Refused, Run
+from PIL import Image
+
+import gensp as package
+from gensp.errors import BadMesh, Unsupported
+from gensp.export.textured import write_textured
+from gensp.geometry.certificate import certify
+from gensp.geometry.mesh import Mesh, load_mesh, require_genus_zero
+from gensp.geometry.spherical_map import SphericalMap, load_map
+from gensp.geometry.wavefront import read_obj
+from gensp.pictures.texture import equirectangular_picture
+
+
+def test_parameterize_writes_what_reads_back_certified(
+    gensp: Run, bumpy_file: Path, tmp_path: Path, bumpy: Mesh
+) -> None:
+    out = tmp_path / "out"
+    code, said, _ = gensp(
+        "parameterize", bumpy_file, "--out", out, "--texture", "--icosphere", 2,
+        "--geometry-image", 16,
+    )  # fmt: skip
+    assert code == 0
+    assert "bijective: 1280 faces" in said
+    assert all(path.name in said for path in out.iterdir())
+    map = load_map(out / "bumpy.npz")
+    np.testing.assert_array_equal(map.surface, bumpy.vertices)
+    np.testing.assert_array_equal(map.faces, bumpy.faces)
+    assert certify(map.sphere, map.faces)
+    sphere, faces = read_obj(out / "bumpy_sphere.obj")
+    np.testing.assert_array_equal(sphere, map.sphere)
+    np.testing.assert_array_equal(faces, map.faces)
+    _same_in_ply(out / "bumpy.ply", map)
+    remesh = load_map(out / "bumpy_icosphere2.npz")
+    np.testing.assert_allclose(remesh.surface, map.icosphere_remesh(2).vertices)
+    with Image.open(out / "bumpy_geometry16.png") as picture:
+        assert picture.size == (16, 16)
+
+
+def _same_in_ply(path: Path, map: SphericalMap) -> None:
+    vertex = trimesh.load(path, process=False).metadata["_ply_raw"]["vertex"]["data"]
+    sphere = np.stack([vertex[name].reshape(-1) for name in ("px", "py", "pz")], axis=1)
+    np.testing.assert_array_equal(sphere, map.sphere)
+    np.testing.assert_array_equal(load_mesh(path).vertices, map.surface)
+    assert certify(sphere, load_mesh(path).faces)
+
+
+@pytest.mark.parametrize("end", [".glb", ".obj"])
+def test_textured_files_wear_the_sphere(bumpy_map: SphericalMap, tmp_path: Path, end: str) -> None:
+    picture = equirectangular_picture(64)
+    larger = SphericalMap(bumpy_map.sphere, 2 * bumpy_map.sphere, bumpy_map.faces)
+    write_textured(larger, picture, tmp_path / "bumpy")
+    loaded = trimesh.load(tmp_path / f"bumpy{end}", process=False, force="mesh")
+    uv, faces = np.array(loaded.visual.uv), np.array(loaded.faces)
+    assert np.ptp(uv[faces, 0], axis=1).max() < 0.5
+    longitude, latitude = 2 * np.pi * uv[:, 0], np.pi * (uv[:, 1] - 0.5)
+    level = np.cos(latitude)
+    p = np.stack([level * np.cos(longitude), level * np.sin(longitude), np.sin(latitude)], 1)
+    x = np.array(loaded.vertices)
+    np.testing.assert_allclose(x / np.linalg.norm(x, axis=1, keepdims=True), p, atol=1e-5)
+    material = loaded.visual.material
+    image = getattr(material, "baseColorTexture", None) or material.image
+    np.testing.assert_array_equal(np.asarray(image.convert("RGB")), picture)
+
+
+def test_textured_obj_is_a_closed_surface(bumpy_map: SphericalMap, tmp_path: Path) -> None:
+    write_textured(bumpy_map, equirectangular_picture(16), tmp_path / "bumpy")
+    require_genus_zero(load_mesh(tmp_path / "bumpy.obj"))
+
+
+def test_folder_that_cannot_be_written(refused: Refused, bumpy_file: Path) -> None:
+    line = refused("parameterize", bumpy_file, "--out", bumpy_file / "below")
+    assert "cannot be written" in line
+    assert "paths.runs" not in line
+
+
+def test_arrays(bumpy: Mesh) -> None:
+    sphere = package.parameterize(bumpy.vertices.tolist(), bumpy.faces.astype(np.int32))
+    assert certify(sphere, bumpy.faces)
+    map = package.spherical_map(bumpy.vertices, bumpy.faces, method="cmcf", name="mine")
+    assert map.name == "mine"
+    own = package.parameterize(bumpy.vertices, bumpy.faces, method=lambda mesh: map)
+    np.testing.assert_array_equal(own, map.sphere)
+
+
+def test_arrays_that_are_no_mesh(bumpy: Mesh) -> None:
+    with pytest.raises(BadMesh, match=r"\(n, 3\) numbers and \(m, 3\) integers are required"):
+        package.parameterize(bumpy.vertices[:, :2], bumpy.faces)
+    with pytest.raises(BadMesh, match="integers are required"):
+        package.parameterize(bumpy.vertices, bumpy.faces * 1.0)
+    with pytest.raises(BadMesh, match="boundary edges"):
+        package.parameterize(bumpy.vertices, bumpy.faces[1:])
+    with pytest.raises(Unsupported, match="method 'magic': is not known"):
+        package.parameterize(bumpy.vertices, bumpy.faces, method="magic")
+
+
+def test_console_script_runs_and_stays_light() -> None:
+    for words in ([], ["--help"]):
+        done = subprocess.run(
+            [sys.executable, "-m", "gensp", *words], capture_output=True, text=True, timeout=60
+        )
+        assert (done.returncode, done.stderr) == (0, "")
+    for command in ("parameterize", "check", "repair", "match", "transfer", "morph", "view"):
+        assert command in done.stdout
+    heavy = ["numpy", "scipy", "igl", "trimesh", "torch", "matplotlib", "lightning", "hydra"]
+    script = f"import sys, gensp.cli; print([m for m in {heavy} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout.strip() == "[]", done.stderr
+
+
+def test_a_map_needs_no_training_libraries(bumpy_file: Path, tmp_path: Path) -> None:
+    script = (
+        "import sys\n"
+        "for name in ('torch', 'lightning', 'hydra', 'matplotlib', 'wandb'):\n"
+        "    sys.modules[name] = None\n"
+        "from gensp.cli import app\n"
+        f"sys.argv = ['gensp', 'parameterize', {str(bumpy_file)!r}, '--out', {str(tmp_path)!r},\n"
+        "            '--texture', '--icosphere', '2', '--geometry-image', '8']\n"
+        "app()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "bumpy_textured.glb").is_file()
+
+
+def test_model_from_a_file(gensp: Run, bumpy: Mesh, bumpy_file: Path, tmp_path: Path) -> None:
+    from test_methods_gensp import networks
+
+    from gensp.models import save_model
+
+    save_model(tmp_path / "model.pt", **networks())
+    words = ("--checkpoint", tmp_path / "model.pt", "--out", tmp_path / "out")
+    code, said, _ = gensp("parameterize", bumpy_file, *words)
+    assert code == 0
+    assert "bijective: 1280 faces" in said
+    model = package.load(tmp_path / "model.pt")
+    own = package.parameterize(bumpy.vertices, bumpy.faces, method=model)
+    np.testing.assert_array_equal(own, load_map(tmp_path / "out" / "bumpy.npz").sphere)
