@@ -22,7 +22,8 @@ ALLOWED = {
     "compute": CORE,
     "data": CORE | {"geometry", "compute"},
     "methods": CORE | {"geometry", "models", "data.clouds"},
-    "runs": CORE | {"models.store", "geometry.mesh"},
+    "machine": set(),
+    "runs": CORE | {"models.store", "geometry.mesh", "machine"},
     "tables": CORE,
     "pictures": CORE | {"geometry", "tables"},
 }

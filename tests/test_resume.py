@@ -70,3 +70,20 @@ def test_a_forced_stage_is_made_anew_and_equal(smoke: Path, smoke_copy: Path) ->
     (folder / "stray.txt").touch()
     run_here(*smoke_words(smoke_copy), "stage=augment", "force=true")
     assert different(folder, smoke / "smoke" / "full" / "augment") == []
+
+
+@pytest.mark.parametrize(("stage", "reader"), [("augment", "implicit"), ("finetune", "evaluate")])
+def test_equal_results_leave_later_stages_finished(
+    stage: str, reader: str, smoke_copy: Path
+) -> None:
+    run = smoke_copy / "smoke" / "full"
+    before = Run(run / stage)
+    sealed, outputs = before.manifest["seconds"], before.outputs
+    run_here(*smoke_words(smoke_copy), f"stage={stage}", "force=true")
+    after = Run(run / stage)
+    assert after.manifest["seconds"] != sealed
+    assert after.outputs == outputs
+    kept = (run / reader / "manifest.json").stat().st_mtime_ns
+    for later in STAGES[STAGES.index(stage) + 1 : STAGES.index(reader) + 1]:
+        run_here(*smoke_words(smoke_copy), f"stage={later}")
+    assert (run / reader / "manifest.json").stat().st_mtime_ns == kept

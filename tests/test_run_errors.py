@@ -35,9 +35,9 @@ def test_other_settings_are_named(smoke: Path) -> None:
 
 
 def test_other_predecessor_is_named(smoke_copy: Path) -> None:
-    words = (*smoke_words(smoke_copy), "recipe.augment.max_steps=55")
-    run_here(*words, "stage=augment", "force=true")
-    with pytest.raises(StaleRun, match=r"inputs\.augment: "):
+    words = smoke_words(smoke_copy)
+    run_here(*words, "stage=augment", "force=true", "recipe.augment.samples=3")
+    with pytest.raises(StaleRun, match=r"other results of stage augment .* add force=true"):
         run_here(*words, "stage=implicit")
 
 
