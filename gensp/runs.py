@@ -262,7 +262,7 @@ def listing(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def _is_result(name: str) -> bool:
-    return name.split("/")[0] not in _ACCOUNTS and not name.endswith(".csv")
+    return not _ACCOUNTS & set(name.split("/")) and not name.endswith(".csv")
 
 
 def _file_hash(path: Path) -> str:

@@ -89,7 +89,7 @@ def test_equal_results_have_equal_digests_however_they_were_made(tmp_path: Path)
     first = made(tmp_path / "a", {"meshes/x.npz": "x", "rows/x.json": "1 s", "flows.csv": "1 s"})
     again = made(
         tmp_path / "b",
-        {"meshes/x.npz": "x", "rows/x.json": "2 s", "flows.csv": "2 s", "logs/metrics.csv": "2"},
+        {"meshes/x.npz": "x", "more/rows/x.json": "2 s", "flows.csv": "2 s", "logs/hparams": "2"},
         OTHER,
     )
     assert first.outputs == again.outputs
