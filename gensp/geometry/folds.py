@@ -2,9 +2,10 @@
 
 On the sphere a fold is a face of the wrong orientation, decided exactly by
 `gensp.geometry.predicates`. On a shape in space nothing says which side is right, so a fold is
-told by its rim: it is a triangle, or a small patch of some, at all of whose edges the surface turns
-back on itself. Creases are no folds, however sharp: the two sides of a fin or of a closed mouth hang
-together around the end of the crease. A shape that is almost a sphere is also read as a map.
+told by its rim: it is a triangle, or a small patch of some, at all of whose edges the surface
+turns back on itself. Creases are no folds, however sharp: the two sides of a fin or of a closed
+mouth hang together around the end of the crease. A shape that is almost a sphere is also read
+as a map.
 """
 
 import numpy as np
@@ -49,15 +50,14 @@ def _cut_off(
     mesh: Mesh, neighbours: Int[np.ndarray, "m 3"], agreement: Float[np.ndarray, "m 3"]
 ) -> Bool[np.ndarray, " m"]:
     """Faces of small patches with a rim of sharp edges all around."""
-    flat = ~mesh.face_normals.any(axis=1)
+    flat: Bool[np.ndarray, " m"] = np.linalg.norm(mesh.face_normals, axis=1) == 0
     joined = (agreement > _TURNED) & ~flat[:, None] & ~flat[neighbours]
     face, side = np.nonzero(joined)
     shape = (len(mesh.faces), len(mesh.faces))
     graph = sp.csr_array((np.ones(len(face)), (face, neighbours[face, side])), shape)
     _, patch = connected_components(graph, directed=False)
     area = np.bincount(patch, weights=mesh.face_areas)
-    small = np.asarray(area < _LARGEST * mesh.area)
-    return small[patch]
+    return (area < _LARGEST * mesh.area)[patch]
 
 
 def _inward(mesh: Mesh) -> Bool[np.ndarray, " m"]:
