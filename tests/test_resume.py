@@ -1,46 +1,15 @@
 """Kill -9 in the middle of every stage, run again: what is finished stays, the result is equal."""
 
-import os
 import shutil
-import signal
-import subprocess
-import time
 from pathlib import Path
 
 import pytest
-from commands import ROOT, STAGES, command, environment, run_here, smoke_words
+from commands import STAGES, begun, finished_items, kill_in_the_middle, run_here, smoke_words
 from compare import different
 
 from gensp.runs import Run
 
 pytestmark = pytest.mark.slow
-
-
-def kill_in_the_middle(folder: Path, *words: str) -> None:
-    """Start a stage and kill it, workers included, once something of it is on the disk."""
-    process = subprocess.Popen(
-        command(*words),
-        cwd=ROOT,
-        env=environment(),
-        start_new_session=True,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        until = time.monotonic() + 120
-        while not begun(folder) and process.poll() is None and time.monotonic() < until:
-            time.sleep(0.002)
-    finally:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-
-
-def begun(folder: Path) -> bool:
-    return (folder / "checkpoints" / "last.ckpt").is_file() or bool(finished_items(folder))
-
-
-def finished_items(folder: Path) -> dict[Path, int]:
-    return {path: path.stat().st_mtime_ns for path in folder.glob("rows/[!.]*.json")}
 
 
 @pytest.mark.parametrize("stage", STAGES)
