@@ -159,8 +159,8 @@ def restart(folder: Path, settings: Mapping[str, Any]) -> Progress:
     if remade:
         raise StaleRun(
             f"{folder}: made from other results of stage {', '.join(remade)} than there are now; "
-            "a stage and what it reads must belong together; add force=true to make it anew from "
-            "them, or name=NEW to keep both"
+            "a stage and what it reads must belong together; make it anew from them with "
+            f"stage={asked['stage']['name']} force=true, or name=NEW to keep both"
         )
     return Progress.ALL if found is sealed else Progress.SOME
 

@@ -37,7 +37,7 @@ def test_other_settings_are_named(smoke: Path) -> None:
 def test_other_predecessor_is_named(smoke_copy: Path) -> None:
     words = smoke_words(smoke_copy)
     run_here(*words, "stage=augment", "force=true", "recipe.augment.samples=3")
-    with pytest.raises(StaleRun, match=r"other results of stage augment .* add force=true"):
+    with pytest.raises(StaleRun, match=r"of stage augment .* stage=implicit force=true"):
         run_here(*words, "stage=implicit")
 
 

@@ -107,8 +107,8 @@ def test_other_results_of_a_stage_before_make_a_run_stale(tmp_path: Path, finish
         restart(tmp_path, {**settings, "inputs": {"augment": "a", "implicit": "c"}})
     assert str(caught.value) == (
         f"{tmp_path}: made from other results of stage implicit than there are now; a stage and "
-        "what it reads must belong together; add force=true to make it anew from them, or "
-        "name=NEW to keep both"
+        "what it reads must belong together; make it anew from them with stage=implicit "
+        "force=true, or name=NEW to keep both"
     )
 
 
