@@ -110,11 +110,11 @@ class ImplicitStage(FitStage):
         absolute = self.encode(batch.drawn, batch.clouds)
         codes = absolute - absolute[:1]
         self.table.update(batch.ids, codes, self.total)
-        mine = slice(batch.first, None)
-        predicted = self.field(codes[mine], batch.points[mine])
+        counted, mine = codes[batch.first :], slice(batch.first, None)
+        predicted = self.field(counted, batch.points[mine])
         data = batch.weight * sdf_loss(predicted, batch.distances[mine], self.norm)
         latents = (
-            batch.weight * encoder_penalty(codes[mine])
+            batch.weight * encoder_penalty(counted)
             if self.penalize == "latents"
             else encoder_penalty(self._weights())
         )
