@@ -37,7 +37,7 @@ def losses(folder: Path) -> dict[str, np.ndarray]:
 SHORT = {
     "implicit": ("epochs=4", "regularize_from_epoch=1", "level_sets.every=3"),
     "initialize": ("epochs=4",),
-    "finetune": ("epochs=4",),
+    "finetune": ("epochs=2",),
 }
 
 
