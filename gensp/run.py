@@ -155,7 +155,7 @@ def settings_of(cfg: DictConfig, inputs: Mapping[str, Run]) -> dict[str, Any]:
         "trainer": {key: trainer.get(key) for key in _TRAINER_SCIENCE},
         "seed": cfg.seed,
         "shapes": _made(cfg.shapes).fingerprint if reads else None,
-        "inputs": {name: found.digest for name, found in inputs.items()},
+        "inputs": {name: found.outputs for name, found in inputs.items()},
     }
 
 

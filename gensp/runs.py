@@ -6,12 +6,7 @@ run of other settings.
 """
 
 import hashlib
-import importlib.metadata
-import os
-import platform
-import resource
 import shutil
-import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
@@ -21,12 +16,14 @@ from typing import Any
 
 from gensp.errors import MissingStage, StaleRun
 from gensp.files import content_hash, read_json, write_json
+from gensp.machine import environment, peak_memory
 
 MANIFEST = "manifest.json"
 SETTINGS = "settings.json"
 CHECKPOINT = Path("checkpoints") / "last.ckpt"
 
-_PACKAGES = ("gensp", "torch", "lightning", "numpy", "scipy", "libigl", "trimesh", "torchdiffeq")
+# How a run went, not what it found: times and paths, which differ from run to run.
+_ACCOUNTS = {SETTINGS, "config.yaml", "rows", "logs", "checkpoints"}
 
 
 @dataclass(frozen=True)
@@ -50,6 +47,15 @@ class Run:
     def digest(self) -> str:
         """The digest of the settings, those of all stages before included."""
         return str(self.manifest["digest"])
+
+    @property
+    def outputs(self) -> str:
+        """A digest of what the stage made: equal results give equal digests, however made.
+
+        Tables (csv), rows, logs and checkpoints tell how long it took and do not count.
+        """
+        hashes = {name: entry["sha256"] for name, entry in self.manifest["files"].items()}
+        return content_hash({name: hashes[name] for name in hashes if _is_result(name)})
 
     @property
     def metrics(self) -> dict[str, float]:
@@ -126,22 +132,35 @@ class Progress(Enum):
 def restart(folder: Path, settings: Mapping[str, Any]) -> Progress:
     """How far a run of these settings has come in this folder.
 
+    Parameters
+    ----------
+    settings
+        Its entry `inputs` holds the digests of the results that the run reads, by stage.
+
     Raises
     ------
     StaleRun
-        The folder holds a run, finished or not, of other settings.
+        The folder holds a run, finished or not, of other settings or of other inputs.
     """
     sealed = folder / MANIFEST
     found = sealed if sealed.is_file() else folder / SETTINGS
     if not found.is_file():
         return Progress.NOTHING
-    stored = read_json(found)["settings"]
-    changed = differences(stored, _plain(settings))
+    stored, asked = dict(read_json(found)["settings"]), _plain(settings)
+    before, now = stored.pop("inputs", None) or {}, asked.pop("inputs", None) or {}
+    changed = differences(stored, asked)
     if changed:
         listed = "; ".join(changed[:6]) + (f"; and {len(changed) - 6} more" * (len(changed) > 6))
         raise StaleRun(
             f"{folder}: made with other settings ({listed}); the same settings are required to go "
             "on; add force=true to make it anew, or name=NEW to keep both"
+        )
+    remade = [stage for stage in sorted({*before, *now}) if before.get(stage) != now.get(stage)]
+    if remade:
+        raise StaleRun(
+            f"{folder}: made from other results of stage {', '.join(remade)} than there are now; "
+            "a stage and what it reads must belong together; make it anew from them with "
+            f"stage={asked['stage']['name']} force=true, or name=NEW to keep both"
         )
     return Progress.ALL if found is sealed else Progress.SOME
 
@@ -242,42 +261,10 @@ def listing(folder: Path) -> dict[str, dict[str, Any]]:
     }
 
 
+def _is_result(name: str) -> bool:
+    return not _ACCOUNTS & set(name.split("/")) and not name.endswith(".csv")
+
+
 def _file_hash(path: Path) -> str:
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def environment() -> dict[str, Any]:
-    """Versions of what computed the run, the revision of the sources, the machine."""
-    versions = {name: _version(name) for name in _PACKAGES}
-    return {
-        "versions": {"python": platform.python_version(), **versions},
-        "revision": _revision(),
-        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
-    }
-
-
-def _version(package: str) -> str | None:
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return None
-
-
-def _revision() -> str | None:
-    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=True)
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return done.stdout.strip()
-
-
-def peak_memory() -> float:
-    """Largest resident size of this process or of one of its finished children, in GiB."""
-    sizes = (
-        resource.getrusage(who).ru_maxrss
-        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
-    )
-    unit = 1 if platform.system() == "Darwin" else 1024
-    return max(sizes) * unit / 2**30

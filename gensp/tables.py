@@ -12,6 +12,13 @@ if TYPE_CHECKING:
 
 Summary = Mapping[str, Any]
 
+# What a summary lists besides its figures: key, title, where the reason is.
+_LEFT_OUT = (
+    ("skipped", "Skipped", "reason"),
+    ("lost", "Not learnt from", "reason"),
+    ("failed", "Failed", "error"),
+)
+
 
 @dataclass(frozen=True)
 class Column:
@@ -115,7 +122,7 @@ def _legend(columns: Sequence[Column], summary: Summary) -> str:
 
 
 def _left_out(summary: Summary) -> Iterator[str]:
-    for key, title, reason in (("skipped", "Skipped", "reason"), ("failed", "Failed", "error")):
+    for key, title, reason in _LEFT_OUT:
         if summary.get(key):
             lines = [f"- {item['id']}: {item[reason]}" for item in summary[key]]
             yield "\n".join([f"## {title}", "", *lines])

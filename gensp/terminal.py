@@ -7,6 +7,7 @@ from typing import Any
 
 from lightning.pytorch.utilities import rank_zero_only
 from rich.console import Console
+from rich.markup import escape
 
 from gensp.comparison import compare_variants
 from gensp.files import read_json
@@ -31,6 +32,12 @@ console = Console(highlight=False, width=None if Console().is_terminal else 140)
 def say(text: str) -> None:
     """One line, on rank zero."""
     console.print(text, soft_wrap=True)
+
+
+@rank_zero_only
+def warn(text: str) -> None:
+    """One line on what a run goes on without, on rank zero."""
+    console.print(f"      [yellow]warning:[/yellow] {escape(text)}", soft_wrap=True)
 
 
 @rank_zero_only

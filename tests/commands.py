@@ -2,8 +2,10 @@
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -50,6 +52,33 @@ def run_here(*words: str) -> float | None:
 
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
         return run(compose("config", overrides=list(words)), words)
+
+
+def kill_in_the_middle(folder: Path, *words: str) -> None:
+    """Start a stage and kill it, workers included, once something of it is on the disk."""
+    process = subprocess.Popen(
+        command(*words),
+        cwd=ROOT,
+        env=environment(),
+        start_new_session=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        until = time.monotonic() + 120
+        while not begun(folder) and process.poll() is None and time.monotonic() < until:
+            time.sleep(0.002)
+    finally:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+
+def begun(folder: Path) -> bool:
+    return (folder / "checkpoints" / "last.ckpt").is_file() or bool(finished_items(folder))
+
+
+def finished_items(folder: Path) -> dict[Path, int]:
+    return {path: path.stat().st_mtime_ns for path in folder.glob("rows/[!.]*.json")}
 
 
 def smoke_words(runs: Path) -> list[str]:

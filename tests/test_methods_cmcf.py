@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gensp.errors import NotEmbeddable
+from gensp.geometry.alignment import centre_of_area
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.predicates import bad_faces
 from gensp.geometry.sphere import icosphere, tangent_frame, unit
@@ -41,6 +42,23 @@ def test_refined_flow_of_a_limbed_shape_has_no_fold_and_little_distortion(limbed
     assert refined.degree() == 1
     assert refined.distortion().max < 0.1 * raw.distortion().max
     assert refined.diagnostics["flow_steps"] > 5
+
+
+@pytest.mark.parametrize("shape", ["bumpy", "limbed"])
+def test_refined_map_is_centred_and_says_so(shape, request):
+    mesh = request.getfixturevalue(shape)
+    map = CMCF(NewtonRefinement())(mesh)
+    centre = centre_of_area(map.sphere, mesh.faces, mesh.face_areas)
+    assert np.linalg.norm(centre) < 1e-8
+    assert map.diagnostics["centred"] is True
+    assert map.certify().bijective
+
+
+def test_folded_map_is_left_where_it_is_and_said_to_be_off_centre(bumpy, rng):
+    folded = _folded(unit(bumpy.vertices + np.array([0.3, 0, 0])), bumpy.faces, rng)
+    map = CMCF(lambda mesh, *_: NoRefinement()(mesh, folded))(bumpy)
+    np.testing.assert_array_equal(map.sphere, unit(folded))
+    assert map.diagnostics["centred"] is False
 
 
 def test_map_is_invariant_under_similarities_up_to_rotation(bumpy, rng):

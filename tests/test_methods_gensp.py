@@ -83,6 +83,29 @@ def test_loaded_method_maps_as_the_one_that_was_saved(tmp_path: Path, ellipsoid:
     assert np.array_equal(loaded(ellipsoid).sphere, expected.sphere)
 
 
+def test_model_knows_the_clouds_that_it_was_trained_on(tmp_path: Path, bumpy: Mesh) -> None:
+    trained, path = networks(), tmp_path / "model.pt"
+    trained["encoder"].set_origin(torch.randn(3, 96, 3))
+    save_model(path, **trained)
+    loaded = GenSP.load(path, fit=unfitted, refine=unrefined)
+    assert (loaded.points, loaded.draws) == (96, 3)
+    same = GenSP(**trained, fit=unfitted, refine=unrefined, points=96, draws=3)
+    assert np.array_equal(loaded.encode(bumpy), same.encode(bumpy))
+    other = GenSP.load(path, fit=unfitted, refine=unrefined, points=128, draws=1)
+    assert (other.points, other.draws) == (128, 1)
+
+
+def test_model_of_an_older_version_is_still_read(tmp_path: Path) -> None:
+    path = tmp_path / "model.pt"
+    save_model(path, **networks())
+    content = torch.load(path, weights_only=True)
+    for key in ("points", "draws"):
+        del content["encoder"]["architecture"]["settings"][key]
+    torch.save(content, path)
+    loaded = GenSP.load(path, fit=unfitted, refine=unrefined)
+    assert (loaded.points, loaded.draws) == (1024, 8)
+
+
 def test_model_without_generator_is_refused(tmp_path: Path) -> None:
     save_model(tmp_path / "model.pt", encoder=networks()["encoder"])
     with pytest.raises(Unsupported, match="encoder and generator are required"):

@@ -1,46 +1,15 @@
 """Kill -9 in the middle of every stage, run again: what is finished stays, the result is equal."""
 
-import os
 import shutil
-import signal
-import subprocess
-import time
 from pathlib import Path
 
 import pytest
-from commands import ROOT, STAGES, command, environment, run_here, smoke_words
+from commands import STAGES, begun, finished_items, kill_in_the_middle, run_here, smoke_words
 from compare import different
 
 from gensp.runs import Run
 
 pytestmark = pytest.mark.slow
-
-
-def kill_in_the_middle(folder: Path, *words: str) -> None:
-    """Start a stage and kill it, workers included, once something of it is on the disk."""
-    process = subprocess.Popen(
-        command(*words),
-        cwd=ROOT,
-        env=environment(),
-        start_new_session=True,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        until = time.monotonic() + 120
-        while not begun(folder) and process.poll() is None and time.monotonic() < until:
-            time.sleep(0.002)
-    finally:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-
-
-def begun(folder: Path) -> bool:
-    return (folder / "checkpoints" / "last.ckpt").is_file() or bool(finished_items(folder))
-
-
-def finished_items(folder: Path) -> dict[Path, int]:
-    return {path: path.stat().st_mtime_ns for path in folder.glob("rows/[!.]*.json")}
 
 
 @pytest.mark.parametrize("stage", STAGES)
@@ -70,3 +39,20 @@ def test_a_forced_stage_is_made_anew_and_equal(smoke: Path, smoke_copy: Path) ->
     (folder / "stray.txt").touch()
     run_here(*smoke_words(smoke_copy), "stage=augment", "force=true")
     assert different(folder, smoke / "smoke" / "full" / "augment") == []
+
+
+@pytest.mark.parametrize(("stage", "reader"), [("augment", "implicit"), ("finetune", "evaluate")])
+def test_equal_results_leave_later_stages_finished(
+    stage: str, reader: str, smoke_copy: Path
+) -> None:
+    run = smoke_copy / "smoke" / "full"
+    before = Run(run / stage)
+    sealed, outputs = before.manifest["seconds"], before.outputs
+    run_here(*smoke_words(smoke_copy), f"stage={stage}", "force=true")
+    after = Run(run / stage)
+    assert after.manifest["seconds"] != sealed
+    assert after.outputs == outputs
+    kept = (run / reader / "manifest.json").stat().st_mtime_ns
+    for later in STAGES[STAGES.index(stage) + 1 : STAGES.index(reader) + 1]:
+        run_here(*smoke_words(smoke_copy), f"stage={later}")
+    assert (run / reader / "manifest.json").stat().st_mtime_ns == kept

@@ -78,6 +78,40 @@ def test_digest_depends_on_settings_alone(tmp_path: Path) -> None:
     assert sealed(tmp_path / "c", OTHER).digest != first.digest
 
 
+def made(folder: Path, files: dict[str, str], settings: dict = SETTINGS) -> Run:
+    for name, text in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+    return sealed(folder, settings)
+
+
+def test_equal_results_have_equal_digests_however_they_were_made(tmp_path: Path) -> None:
+    first = made(tmp_path / "a", {"meshes/x.npz": "x", "rows/x.json": "1 s", "flows.csv": "1 s"})
+    again = made(
+        tmp_path / "b",
+        {"meshes/x.npz": "x", "more/rows/x.json": "2 s", "flows.csv": "2 s", "logs/hparams": "2"},
+        OTHER,
+    )
+    assert first.outputs == again.outputs
+    changed = made(tmp_path / "c", {"meshes/x.npz": "y"})
+    renamed = made(tmp_path / "d", {"meshes/y.npz": "x"})
+    assert len({first.outputs, changed.outputs, renamed.outputs}) == 3
+
+
+@pytest.mark.parametrize("finished", [True, False])
+def test_other_results_of_a_stage_before_make_a_run_stale(tmp_path: Path, finished: bool) -> None:
+    settings = {**SETTINGS, "inputs": {"augment": "a", "implicit": "b"}}
+    (sealed if finished else begin)(tmp_path, settings)
+    assert restart(tmp_path, settings) is (Progress.ALL if finished else Progress.SOME)
+    with pytest.raises(StaleRun) as caught:
+        restart(tmp_path, {**settings, "inputs": {"augment": "a", "implicit": "c"}})
+    assert str(caught.value) == (
+        f"{tmp_path}: made from other results of stage implicit than there are now; a stage and "
+        "what it reads must belong together; make it anew from them with stage=implicit "
+        "force=true, or name=NEW to keep both"
+    )
+
+
 def test_failed_seal_leaves_no_manifest(tmp_path: Path) -> None:
     with pytest.raises(TypeError):
         seal(tmp_path, stage="x", settings=SETTINGS, metrics={}, facts={"bad": object()})

@@ -38,6 +38,14 @@ def test_network_comes_back_as_it_was(name: str, tmp_path: Path) -> None:
     assert all(torch.equal(value, state[key]) for key, value in restored.state_dict().items())
 
 
+def test_equal_networks_make_equal_files(tmp_path: Path) -> None:
+    network = NETWORKS["field"]()
+    for folder in ("a", "b"):
+        save_model(tmp_path / folder / "model.pt", field=network)
+    first, second = ((tmp_path / folder / "model.pt").read_bytes() for folder in ("a", "b"))
+    assert first == second
+
+
 def test_two_networks_in_one_file(tmp_path: Path) -> None:
     save_model(tmp_path / "model.pt", encoder=NETWORKS["encoder"](), field=NETWORKS["field"]())
     assert load_model(tmp_path / "model.pt").keys() == {"encoder", "field"}

@@ -1,6 +1,7 @@
 """Batches of the learning stages, and datasets whose draws depend on (seed, epoch, index) alone.
 
-S_0 opens every batch. Everything is kept in memory; a batch is gathered in one go.
+S_0 opens every batch. Everything is kept in memory; a batch is gathered in one go. Several ranks
+share every batch of one rank out: the mean of their losses is its loss.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,7 +16,7 @@ from torch.utils.data import DataLoader, Dataset, DistributedSampler
 
 from gensp.data.clouds import SurfaceSampler
 
-BatchT = TypeVar("BatchT")
+BatchT = TypeVar("BatchT", bound="SdfBatch | CorrespondenceBatch")
 Drawn = tuple[str, int]  # a shape and the number of one of its clouds
 Key = tuple[int, int]
 
@@ -25,7 +26,8 @@ Key = tuple[int, int]
 class SdfBatch:
     """Stage II: b shapes, their clouds, and n distance samples of each (negative inside).
 
-    `drawn` names the clouds: which shape, which of its draws.
+    `drawn` names the clouds: which shape, which of its draws. `first` and `weight` are this rank's
+    share of the loss, see `EpochDataset.share`.
     """
 
     ids: list[str]
@@ -33,6 +35,8 @@ class SdfBatch:
     clouds: Float[Tensor, "b c 3"]
     points: Float[Tensor, "b n 3"]
     distances: Float[Tensor, "b n"]
+    first: int = 0
+    weight: float = 1.0
 
 
 @dataclass
@@ -40,7 +44,7 @@ class CorrespondenceBatch:
     """Stages III-b and IV: n icosphere vertices of each shape and where they belong on it.
 
     `valid` tells which targets are known; `surface` are k area-uniform points of the shape;
-    `drawn` names the clouds.
+    `drawn` names the clouds; `first` and `weight` are this rank's share of the loss.
     """
 
     ids: list[str]
@@ -50,6 +54,8 @@ class CorrespondenceBatch:
     targets: Float[Tensor, "b n 3"]
     valid: Bool[Tensor, "b n"]
     surface: Float[Tensor, "b k 3"]
+    first: int = 0
+    weight: float = 1.0
 
 
 class EpochDataset(Dataset[Any], Generic[BatchT]):
@@ -72,6 +78,7 @@ class EpochDataset(Dataset[Any], Generic[BatchT]):
         self.clouds = clouds
         self.seed = seed
         self.passes = passes
+        self.rank, self.ranks = 0, 1
 
     def __len__(self) -> int:
         return (len(self.ids) - 1) * self.passes
@@ -80,11 +87,24 @@ class EpochDataset(Dataset[Any], Generic[BatchT]):
         return self.__getitems__([key])
 
     def __getitems__(self, keys: Sequence[Key | int]) -> BatchT:
-        """The batch of S_0 and the items named by (epoch, index) pairs."""
+        """The rank's part of the batch of S_0 and the items named by (epoch, index) pairs."""
         pairs = [key if isinstance(key, tuple) else (0, key) for key in keys]
-        items = [0] + [1 + index % (len(self.ids) - 1) for _, index in pairs]
-        draws = [self._generator(*pairs[0], 0)] + [self._generator(*pair, 1) for pair in pairs]
-        return self.batch(items, draws)
+        mine = pairs[self.rank :: self.ranks]
+        items = [0] + [1 + index % (len(self.ids) - 1) for _, index in mine]
+        draws = [self._generator(*pairs[0], 0)] + [self._generator(*pair, 1) for pair in mine]
+        batch = self.batch(items, draws)
+        batch.first, batch.weight = self.share(len(mine), len(pairs))
+        return batch
+
+    def share(self, mine: int, total: int) -> tuple[int, float]:
+        """Where the shapes begin that count on this rank, and what their mean weighs.
+
+        S_0, which every rank needs, counts on the first. The mean over the ranks of weight times
+        mean is the mean over the whole batch. A rank without shapes has S_0 at weight zero.
+        """
+        first = 1 if self.rank and mine else 0
+        counted = mine + (self.rank == 0)
+        return first, self.ranks * counted / (1 + total)
 
     def _generator(self, epoch: int, index: int, part: int) -> torch.Generator:
         state = np.random.SeedSequence([self.seed, epoch, index, part]).generate_state(
@@ -103,7 +123,11 @@ class EpochDataset(Dataset[Any], Generic[BatchT]):
 
 
 class EpochSampler(DistributedSampler[Any]):
-    """Shuffles by (seed, epoch) and shares the items out over the ranks; yields (epoch, index)."""
+    """Shuffles by (seed, epoch), alike on all ranks; yields (epoch, index).
+
+    It is distributed by name only, so that Lightning leaves it alone: batches are shared out, not
+    items.
+    """
 
     def __iter__(self) -> Iterator[Key]:
         for index in super().__iter__():
@@ -113,13 +137,14 @@ class EpochSampler(DistributedSampler[Any]):
 def epoch_loader(
     dataset: EpochDataset[BatchT], *, batch_size: int, rank: int = 0, ranks: int = 1
 ) -> DataLoader[BatchT]:
-    """Batches of `batch_size` shapes over all ranks, S_0 included in each rank's share.
+    """Batches of `batch_size` shapes over all ranks, S_0 included; this rank's part of each.
 
     Lightning sets the sampler's epoch.
     """
-    sampler = EpochSampler(dataset, num_replicas=ranks, rank=rank, shuffle=True, seed=dataset.seed)
+    dataset.rank, dataset.ranks = rank, ranks
+    sampler = EpochSampler(dataset, num_replicas=1, rank=0, shuffle=True, seed=dataset.seed)
     return DataLoader(
-        dataset, batch_size=max(1, batch_size // ranks - 1), sampler=sampler, collate_fn=_as_is
+        dataset, batch_size=max(1, batch_size - 1), sampler=sampler, collate_fn=_as_is
     )
 
 

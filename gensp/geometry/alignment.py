@@ -10,6 +10,18 @@ from gensp.geometry.sphere import unit
 _LONGEST_STEP = 2.0
 
 
+def centre_of_area(
+    sphere: Float[np.ndarray, "n 3"],
+    faces: Int[np.ndarray, "m 3"],
+    areas: Float[np.ndarray, " m"],
+) -> Float[np.ndarray, " 3"]:
+    """Mean direction Σ_t a_t ĉ_t of the spherical triangles, by the surface's area fractions a_t.
+
+    Zero for a Möbius-centred map.
+    """
+    return areas / areas.sum() @ unit(sphere[faces].mean(axis=1))
+
+
 def moebius_center(
     sphere: Float[np.ndarray, "n 3"],
     faces: Int[np.ndarray, "m 3"],

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from gensp.errors import DegenerateMesh
 from gensp.geometry.arap import ArapSystem
+from gensp.geometry.folds import folded_faces
 from gensp.geometry.linear import SPDSolver
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.operators import cotangent_laplacian, delaunay_laplacian, lumped_mass
@@ -58,8 +59,8 @@ class Flow:
     sphere_error
         max |‖x‖ − 1| of every shape (t,).
     sound
-        Whether all triangles still carry area (t,); where not, a shape is to be used as a
-        geometry only, never with these faces.
+        Whether all triangles still carry area and none is folded (t,); where not, a shape is to
+        be used as a geometry only, never with these faces. The first is the input, as it is.
     converged, reason
         Whether the sphere was reached, and why the flow ended: "sphere", "stalled", "steps"
         or "degenerate: …".
@@ -161,7 +162,8 @@ class _Track:
         self.moved.append(displacement)
         self.errors.append(_sphere_error(shape))
         smallest = SMALLEST_SHARE * self.shapes[0].face_areas
-        self.sound.append(bool((shape.face_areas > smallest).all()))
+        whole = bool((shape.face_areas > smallest).all())
+        self.sound.append(whole and not folded_faces(shape).any())
 
     def stalled(self) -> bool:
         since_best = len(self.errors) - 1 - int(np.argmin(self.errors))

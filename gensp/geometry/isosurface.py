@@ -38,8 +38,8 @@ def extract_surface(
     Parameters
     ----------
     field
-        Signed distances, or the like, (k,) at points (k, 3); negative inside. A finer grid is
-        laid only where they are small against a coarse cell, so their slope should be near 1.
+        Signed distances, or the like, (k,) at points (k, 3); negative inside, of slope near 1: a
+        finer grid is laid only where they are small against a coarse cell.
     resolution
         Cells along the longest side, rounded up to a power of two times at least 8.
     vertices
@@ -58,23 +58,26 @@ def extract_surface(
     NotGenusZero
         The Euler characteristic is not 2.
     """
-    corners = bounds * np.array([[-1.0], [1.0]]) * np.ones(3) if np.isscalar(bounds) else bounds
-    grid = _Grid.over(np.asarray(corners, dtype=np.float64), resolution)
-
-    def evaluate(indices: Int[Tensor, "k 3"]) -> Float[Tensor, " k"]:
-        points = torch.from_numpy(grid.lower) + grid.cell * indices
-        parts = [field(part.to(device, dtype)).reshape(-1) for part in torch.split(points, chunk)]
-        return torch.cat(parts).to("cpu", torch.float64)
-
+    grid = _Grid.over(_corners(bounds), resolution)
     with torch.no_grad():
-        values = _sampled(evaluate, grid)
+        values = _sampled(_evaluator(field, grid, chunk, device, dtype), grid)
     mesh = _largest_component(_marched(values.numpy(), grid, name), grid)
-    if require_genus_zero and mesh.euler != 2:
-        raise NotGenusZero(
-            f"{name}: the level set has Euler characteristic {mesh.euler}; 2 is required; raise "
-            "the grid resolution or train the implicit stage longer"
-        )
+    if require_genus_zero:
+        _require_euler_of_sphere(mesh)
     return mesh if vertices is None else _decimated(mesh, vertices)
+
+
+def _corners(bounds: float | Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "2 3"]:
+    corners = bounds * np.array([[-1.0], [1.0]]) * np.ones(3) if np.isscalar(bounds) else bounds
+    return np.asarray(corners, dtype=np.float64)
+
+
+def _require_euler_of_sphere(mesh: Mesh) -> None:
+    if mesh.euler != 2:
+        raise NotGenusZero(
+            f"{mesh.name}: the level set has Euler characteristic {mesh.euler}; 2 is required; "
+            "raise the grid resolution or train the implicit stage longer"
+        )
 
 
 @dataclass(frozen=True)
@@ -95,6 +98,19 @@ class _Grid:
         cell = sides.max() / (coarse * 2**halvings)
         lower = corners.mean(axis=0) - cell * counts / 2
         return cls(lower, float(cell), (int(counts[0]), int(counts[1]), int(counts[2])), halvings)
+
+
+def _evaluator(
+    field: Field, grid: _Grid, chunk: int, device: torch.device | str, dtype: torch.dtype
+) -> Field:
+    """The field at grid points, given by their indices, a chunk at a time."""
+
+    def evaluate(indices: Int[Tensor, "k 3"]) -> Float[Tensor, " k"]:
+        points = torch.from_numpy(grid.lower) + grid.cell * indices
+        parts = [field(part.to(device, dtype)).reshape(-1) for part in torch.split(points, chunk)]
+        return torch.cat(parts).to("cpu", torch.float64)
+
+    return evaluate
 
 
 def _sampled(evaluate: Callable[[Tensor], Tensor], grid: _Grid) -> Float[Tensor, "a b c"]:

@@ -1,5 +1,6 @@
 """From a predicted surface to a spherical map of the input's own triangles, free of folds."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import igl
@@ -77,21 +78,46 @@ def untangle(
     largest_patch
         Share of the sphere that the smoothed patches may cover; wider rings are cut back.
     """
+
+    def still_wrong(u: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " m"]:
+        return _wrong_faces(u, faces, thinness, largest_patch)
+
     u = unit(sphere)
-    clean = not bad_faces(u, faces).any()
-    best = Untangled(u, 0, clean)
-    wrong = _wrong_faces(u, faces, thinness, largest_patch)
+    wrong = still_wrong(u)
     if areas is not None:
-        share = np.abs(spherical_areas(u, faces)) / (4 * np.pi)
-        wrong |= share < crowding * areas / areas.sum()
+        wrong |= _crowded_faces(u, faces, areas, crowding)
+    return _smoothed(u, faces, wrong, still_wrong, max_rounds, first_ring, largest_patch)
+
+
+def _crowded_faces(
+    u: Float[np.ndarray, "n 3"],
+    faces: Int[np.ndarray, "m 3"],
+    areas: Float[np.ndarray, " m"],
+    crowding: float,
+) -> Bool[np.ndarray, " m"]:
+    """Faces that hold less than `crowding` of their share of the sphere."""
+    share = np.abs(spherical_areas(u, faces)) / (4 * np.pi)
+    return share < crowding * areas / areas.sum()
+
+
+def _smoothed(
+    u: Float[np.ndarray, "n 3"],
+    faces: Int[np.ndarray, "m 3"],
+    wrong: Bool[np.ndarray, " m"],
+    still_wrong: Callable[[np.ndarray], np.ndarray],
+    max_rounds: int,
+    ring: int,
+    largest: float,
+) -> Untangled:
+    """Rounds of smoothing around what is wrong; the last map without bad faces, if any."""
+    best = Untangled(u, 0, not bad_faces(u, faces).any())
     adjacency = scipy.sparse.csr_matrix(igl.adjacency_matrix(faces), dtype=np.float64)
-    ring, rounds = first_ring, 0
+    rounds = 0
     while wrong.any() and rounds < max_rounds:
-        moving, ring = _patch(u, faces, wrong, adjacency, ring, largest_patch)
+        moving, ring = _patch(u, faces, wrong, adjacency, ring, largest)
         u, rounds = harmonic_patch(u, adjacency, moving), rounds + 1
-        wrong = _wrong_faces(u, faces, thinness, largest_patch)
-        clean = not bad_faces(u, faces).any()
-        if clean:
+        wrong = still_wrong(u)
+        if not bad_faces(u, faces).any():
             best = Untangled(u, rounds, True)
             # What is left is thin, not folded: a few rounds more may round it off.
             max_rounds = min(max_rounds, rounds + _POLISHING)

@@ -10,6 +10,7 @@ import numpy as np
 
 from gensp.errors import BadMesh, DegenerateMesh, EmptyLevelSet
 from gensp.geometry.distance import ClosestPointTree
+from gensp.geometry.folds import folded_faces
 from gensp.geometry.mesh import Mesh, require_genus_zero, simplify
 
 if TYPE_CHECKING:
@@ -29,8 +30,8 @@ def sound_mesh(mesh: Mesh, vertices: int, *, smallest_angle: float) -> tuple[Mes
     """About `vertices` vertices of a shape, by edge collapses or, if need be, by remeshing.
 
     Edge collapses remove triangles that have shrunk, so the shape's own triangulation often
-    survives; it is given up where a triangle without area or an angle below `smallest_angle`
-    (degrees) is left.
+    survives; it is given up where a triangle without area, a fold or an angle below
+    `smallest_angle` (degrees) is left.
 
     Returns
     -------
@@ -40,7 +41,7 @@ def sound_mesh(mesh: Mesh, vertices: int, *, smallest_angle: float) -> tuple[Mes
     Raises
     ------
     DegenerateMesh
-        Neither way leads to a closed genus-0 surface.
+        Neither way leads to a closed genus-0 surface without folds.
     """
     try:
         own = simplify(mesh, vertices)
@@ -49,7 +50,8 @@ def sound_mesh(mesh: Mesh, vertices: int, *, smallest_angle: float) -> tuple[Mes
     except BadMesh:
         return remesh_geometry(mesh, vertices=vertices), True
     level = own.face_areas.min() / own.face_areas.mean()
-    if level > _SMALLEST_AREA and smallest_triangle_angle(own) >= smallest_angle:
+    shaped = level > _SMALLEST_AREA and smallest_triangle_angle(own) >= smallest_angle
+    if shaped and not folded_faces(own).any():
         return own, False
     return remesh_geometry(mesh, vertices=vertices), True
 
@@ -69,7 +71,7 @@ def remesh_geometry(mesh: Mesh, *, vertices: int) -> Mesh:
     Raises
     ------
     DegenerateMesh
-        No closed genus-0 surface was found on any of the grids.
+        No closed genus-0 surface without folds was found on any of the grids.
     """
     if not np.isfinite(mesh.vertices).all() or not mesh.area > 0:
         raise DegenerateMesh(
@@ -112,4 +114,13 @@ def _extract(
         name=name,
     )
     require_genus_zero(surface, max_faces=len(surface.faces))
+    _require_no_folds(surface)
     return surface
+
+
+def _require_no_folds(mesh: Mesh) -> None:
+    folds = int(folded_faces(mesh).sum())
+    if folds:
+        raise DegenerateMesh(
+            f"{mesh.name}: {folds} faces are folded over; none may be; ask for more vertices"
+        )

@@ -22,6 +22,8 @@ T = TypeVar("T")
 Fit = Callable[[Mesh, Mesh], Mesh]
 Refinement = Callable[[Mesh, np.ndarray, np.ndarray], SphericalMap]
 
+_POINTS, _DRAWS = 1024, 8
+
 
 class GenSP:
     """Spherical parameterization by the learnt generator.
@@ -37,9 +39,9 @@ class GenSP:
     refine
         Called with the mesh, a start and a target on the sphere (n, 3); gives the final map.
     points
-        Size of the encoder's cloud.
+        Size of the encoder's cloud; by default as in training.
     draws
-        Number of clouds whose codes are averaged.
+        Number of clouds whose codes are averaged; by default as in training.
     """
 
     name = "gensp"
@@ -52,12 +54,15 @@ class GenSP:
         fit: Fit,
         refine: Refinement,
         level: int = 6,
-        points: int = 1024,
-        draws: int = 8,
+        points: int | None = None,
+        draws: int | None = None,
     ) -> None:
         self.encoder, self.generator = encoder.eval(), generator.eval()
         self.fit, self.refine = fit, refine
-        self.level, self.points, self.draws = level, points, draws
+        self.level = level
+        # Files of older versions do not tell.
+        self.points = points or encoder.settings["points"] or _POINTS
+        self.draws = draws or encoder.settings["draws"] or _DRAWS
 
     @classmethod
     def load(cls, path: Path | str, **settings: Any) -> Self:

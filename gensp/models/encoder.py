@@ -132,6 +132,8 @@ class PointNet2Encoder(Network):
         Centres and neighbours per centre of every level.
     radii
         Largest distance of a neighbour at every level, or nothing for plain nearest neighbours.
+    points, draws
+        Size and number of the clouds whose mean code is a shape's, once the encoder is trained.
     """
 
     origin: Tensor
@@ -142,11 +144,14 @@ class PointNet2Encoder(Network):
         width: int = 64,
         groups: Sequence[Sequence[int]] = ((128, 16), (32, 16)),
         radii: Sequence[float | None] | None = None,
+        points: int | None = None,
+        draws: int | None = None,
     ) -> None:
         super().__init__()
         groups = [list(level) for level in groups]
         radii = [None] * len(groups) if radii is None else list(radii)
         self.settings = {"latent": latent, "width": width, "groups": groups, "radii": radii}
+        self.settings |= {"points": points, "draws": draws}
         outputs = [2 * width << level for level in range(len(groups))]
         features = [0, *outputs[:-1]]
         self.levels = nn.ModuleList(
@@ -197,5 +202,9 @@ class PointNet2Encoder(Network):
 
     @torch.no_grad()
     def set_origin(self, sphere: Float[Tensor, "s n 3"]) -> None:
-        """Shift all codes so that the mean code of these clouds of S_0 becomes zero."""
+        """Shift all codes so that the mean code of these clouds of S_0 becomes zero.
+
+        Their size and number are kept: codes of other clouds are not relative to S_0.
+        """
         self.origin.add_(self(sphere).mean(dim=0))
+        self.settings |= {"draws": sphere.shape[0], "points": sphere.shape[1]}

@@ -1,5 +1,6 @@
 """Networks in files: a description and tensors, never pickled code."""
 
+import io
 import pickle
 from collections.abc import Mapping
 from pathlib import Path
@@ -39,8 +40,11 @@ def save_model(path: Path | str, **networks: Network) -> None:
         _known_class(type(network).__name__, Path(path))
         state = {key: value.cpu() for key, value in network.state_dict().items()}
         content[name] = {"architecture": network.architecture(), "state_dict": state}
+    # In memory first: the format keeps the file's name, and equal networks make equal files.
+    data = io.BytesIO()
+    torch.save(content, data)
     with atomic_path(path) as temporary:
-        torch.save(content, temporary)
+        temporary.write_bytes(data.getbuffer())
 
 
 def load_model(path: Path | str) -> dict[str, Network]:

@@ -216,10 +216,16 @@ def draw_all(
         There is not one map to draw.
     """
     options = options or PictureOptions()
-    title = " · ".join(word for word in (collection, method) if word)
-    material = Material(
-        folder, runs, splits, title, summary, morphs or {}, options, _maps(runs, splits)
-    )
+    title, maps = " · ".join(filter(None, (collection, method))), _maps(runs, splits)
+    material = Material(folder, runs, splits, title, summary, morphs or {}, options, maps)
+    pictures, not_drawn = _all_kinds(material)
+    page = _page(material, pictures, not_drawn, settings or {})
+    report = write_report(page, folder / "report.html", turning_faces=options.turning_faces)
+    return Drawn(pictures, report, not_drawn)
+
+
+def _all_kinds(material: Material) -> tuple[dict[str, list[Path]], dict[str, str]]:
+    """Files by kind, and why the other kinds have none."""
     pictures: dict[str, list[Path]] = {}
     not_drawn: dict[str, str] = {}
     for kind, _, draw in KINDS:
@@ -227,9 +233,7 @@ def draw_all(
             pictures[kind] = draw(material)
         except NotDrawn as reason:
             not_drawn[kind] = str(reason)
-    page = _page(material, pictures, not_drawn, settings or {})
-    report = write_report(page, folder / "report.html", turning_faces=options.turning_faces)
-    return Drawn(pictures, report, not_drawn)
+    return pictures, not_drawn
 
 
 def _maps(runs: Mapping[str, Path], splits: Mapping[str, str]) -> dict[str, SphericalMap]:

@@ -167,6 +167,7 @@ def _left_out(page: Page) -> Iterator[str]:
     summary = page.summary or {}
     parts = (
         ("Skipped meshes", [(i["id"], i["reason"]) for i in summary.get("skipped") or []]),
+        ("Shapes not learnt from", [(i["id"], i["reason"]) for i in summary.get("lost") or []]),
         ("Shapes without a map", [(i["id"], i["error"]) for i in summary.get("failed") or []]),
         ("Pictures not drawn", list(page.not_drawn.items())),
     )

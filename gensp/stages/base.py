@@ -46,8 +46,9 @@ class Stage(LightningModule):
 class FitStage(Stage):
     """A stage that trains: Adam, a cosine schedule over all steps, a history of its losses.
 
-    Every step begins from a random state that depends on the seed, the step and the rank alone,
-    so a resumed training equals an uninterrupted one.
+    Every step begins from a random state that depends on the seed and the step alone, so a resumed
+    training equals an uninterrupted one. All ranks draw alike and share out what they drew:
+    several ranks train as one does, up to rounding.
     """
 
     def __init__(
@@ -83,8 +84,25 @@ class FitStage(Stage):
 
     def on_train_batch_start(self, batch: Any, batch_idx: int) -> None:
         """Start the step from its own random state."""
-        step = (self.seed * 1_000_003 + self.global_step) * 1_009 + self.global_rank
+        step = (self.seed * 1_000_003 + self.global_step) * 1_009
         seed_everything(step % 2**32, verbose=False)
+
+    def part(self, count: int) -> tuple[slice, float]:
+        """The rank's part of `count` things that all ranks drew alike, and what its mean weighs.
+
+        The mean over the ranks of weight times mean is the mean over all. A rank for which none is
+        left takes the first at weight zero.
+        """
+        rank, ranks = self.trainer.global_rank, self.trainer.world_size
+        mine = len(range(rank, count, ranks))
+        return slice(rank, None, ranks) if mine else slice(0, 1), ranks * mine / count
+
+    def total(self, value: Tensor) -> Tensor:
+        """The sum over all ranks."""
+        if self.trainer.world_size == 1:
+            return value
+        summed = self.trainer.strategy.reduce(value.clone(), reduce_op="sum")
+        return summed if isinstance(summed, Tensor) else value.new_tensor(summed)
 
     def on_train_epoch_end(self) -> None:
         """Keep the epoch's means."""
@@ -165,3 +183,9 @@ def write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     writer.writeheader()
     writer.writerows(rows)
     write_text(path, text.getvalue())
+
+
+def read_table(path: Path) -> list[dict[str, str]]:
+    """Rows of a csv file, all values as texts."""
+    with open(path, encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))

@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from gensp.compute import Row, row_path
+from gensp.compute import Row, Workers
 from gensp.errors import RegistrationFailed
 from gensp.files import load_npz, save_npz, write_json
 from gensp.geometry.consistency import coverage
@@ -17,6 +17,14 @@ from gensp.geometry.sphere import icosphere
 from gensp.runs import Run
 from gensp.stages.base import ItemStage, write_table
 from gensp.tasks.correspond import RegisterEdge, edge_path, is_input
+from gensp.tasks.joining import (
+    Trial,
+    alternative_path,
+    alternative_row,
+    joined_parents,
+    register_elsewhere,
+)
+from gensp.terminal import warn
 
 
 class CorrespondStage(ItemStage):
@@ -24,7 +32,8 @@ class CorrespondStage(ItemStage):
 
     Writes edges/<child>.npz and edges.csv, tree.json, correspondences/<id>.npz (points, valid)
     of every shape reached, and shapes.csv. A shape whose edge failed every retry is joined to
-    another node that was reached; where that fails too, it is reported and left out.
+    another node that was reached (alternatives/<parent>/edges/<child>.npz); where that fails too,
+    it is reported and left out.
 
     Parameters
     ----------
@@ -36,6 +45,8 @@ class CorrespondStage(ItemStage):
         How many other parents a failed edge may try; none in a star.
     max_failures
         More input shapes than this without correspondences end the stage.
+    workers
+        Processes that share the registrations to other parents.
     """
 
     def __init__(
@@ -45,12 +56,15 @@ class CorrespondStage(ItemStage):
         level: int,
         alternatives: int = 3,
         max_failures: int = 0,
+        workers: Workers | None = None,
         folder: Path | str = Path("."),
     ) -> None:
         super().__init__(table="edges", max_failures=max_failures, folder=folder)
         self.task = task
         self.level = level
         self.alternatives = 0 if task.kind == "star" else alternatives
+        self.workers = workers or Workers()
+        self.parents: dict[str, str] = {}
 
     @classmethod
     def from_runs(
@@ -66,50 +80,56 @@ class CorrespondStage(ItemStage):
 
     def finish(self) -> dict[str, float]:
         """Join what failed elsewhere, carry the icosphere outward, write the tables."""
-        parents = self._parents_reached()
+        self.parents = self._parents_reached()
         counts = super().finish()
-        tree, reached = self._final_tree(parents)
+        tree, reached = self._final_tree(self.parents)
         self._write_tree(tree, reached)
         rows = [self._carried_row(id, found) for id, found in self._carried(tree, reached)]
-        lost = [id for id in self.task.shapes.ids if is_input(id) and id not in parents]
+        lost = [id for id in self.task.shapes.ids if is_input(id) and id not in self.parents]
         rows += [{"id": id, "error": "no registration reached it"} for id in lost]
         write_table(self.folder / "shapes.csv", rows)
         self._require_few(lost)
-        return {**self._metrics([row for row in rows if not row.get("error")]), **counts}
+        metrics = self._metrics([row for row in rows if not row.get("error")])
+        return {**metrics, "lost": len(lost), **counts}
+
+    @property
+    def rows(self) -> list[Row]:
+        """The rows of the edges in use: where a shape was joined elsewhere, of that edge."""
+        return [self._row_in_use(row) for row in super().rows]
+
+    def _row_in_use(self, row: Row) -> Row:
+        child = str(row["id"])
+        if not self._elsewhere(child):
+            return row
+        other = alternative_row(self.folder, child, self.parents[child])
+        return {**(other or row), "joined_elsewhere": True}
+
+    def _elsewhere(self, child: str) -> bool:
+        return self.parents.get(child) not in (None, self.task.shapes.edges[child])
 
     def _parents_reached(self) -> dict[str, str]:
         """Child → parent of accepted edges that hang together with the root, in order."""
-        reached: dict[str, str] = {}
-        root = self.task.shapes.ids[self.task.shapes.tree.order[0]]
-        for child, parent in self.task.shapes.edges.items():
-            joined = self._accepted_parent(child)
-            known = {root, *reached}
-            if joined not in known:
-                others = [id for id in self._nearest(child, known) if id != parent]
-                joined = self._join_elsewhere(child, others[: self.alternatives])
-            if joined is not None:
-                reached[child] = joined
-        return reached
 
-    def _accepted_parent(self, child: str) -> str | None:
-        path = edge_path(self.folder, child)
-        if not path.is_file():
-            return None
-        edge = load_npz(path)
-        return str(edge["parent"]) if bool(edge["accepted"]) else None
+        def register(trials: list[Trial]) -> Mapping[Trial, bool]:
+            return register_elsewhere(self.task, trials, self.workers)
 
-    def _nearest(self, child: str, known: set[str]) -> list[str]:
         shapes = self.task.shapes
-        gap = np.linalg.norm(shapes.codes - shapes.codes[shapes.ids.index(child)], axis=1)
-        return [shapes.ids[k] for k in np.argsort(gap, kind="stable") if shapes.ids[k] in known]
+        accepted = [child for child in shapes.edges if self._accepted(child)]
+        return joined_parents(shapes, accepted, self.alternatives, register)
 
-    def _join_elsewhere(self, child: str, parents: list[str]) -> str | None:
-        for parent in parents:
-            row = self.task.join(child, parent)
-            if row["accepted"]:
-                write_json(row_path(self.folder, child), {**row, "joined_elsewhere": True})
-                return parent
-        return None
+    def _accepted(self, child: str) -> bool:
+        path = edge_path(self.folder, child)
+        return path.is_file() and bool(load_npz(path)["accepted"])
+
+    def _registered(self, child: str) -> np.ndarray:
+        """Vertices of the parent's mesh on the child."""
+        elsewhere = self._elsewhere(child)
+        path = (
+            alternative_path(self.folder, child, self.parents[child])
+            if elsewhere
+            else edge_path(self.folder, child)
+        )
+        return load_npz(path)["vertices"]
 
     def _final_tree(self, parents: Mapping[str, str]) -> tuple[Tree, np.ndarray]:
         """The tree with its changed edges, and the nodes that the icosphere reaches."""
@@ -140,7 +160,7 @@ class CorrespondStage(ItemStage):
             tree,
             reached,
             mesh=lambda k: self.task.mesh(ids[k]),
-            registered=lambda k: load_npz(edge_path(self.folder, ids[k]))["vertices"],
+            registered=lambda k: self._registered(ids[k]),
             sphere=icosphere(self.level),
         )
         self._depth = dict(zip(ids, tree.depth().tolist(), strict=True))
@@ -169,6 +189,11 @@ class CorrespondStage(ItemStage):
                 f"accepted registration, at most {self.max_failures} may lack one; see edges.csv; "
                 "widen recipe.correspond.acceptance, add recipe.correspond.retries, or raise "
                 "recipe.correspond.max_failures"
+            )
+        if lost:
+            warn(
+                f"{len(lost)} input shapes ({', '.join(lost)}) have no accepted registration and "
+                f"are not learnt from; see {self.folder / 'shapes.csv'}"
             )
 
     def _metrics(self, rows: list[Row]) -> dict[str, float]:

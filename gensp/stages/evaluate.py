@@ -15,7 +15,7 @@ from gensp.geometry.sphere import icosphere
 from gensp.models import load_model
 from gensp.pictures import PictureOptions, draw_all
 from gensp.runs import SETTINGS, Run
-from gensp.stages.base import ItemStage, write_table
+from gensp.stages.base import ItemStage, read_table, write_table
 from gensp.stages.summary import Record, summarize, without_nan
 from gensp.tables import summary_csv, summary_markdown
 from gensp.tasks.evaluate import mapped_ids
@@ -80,6 +80,7 @@ class EvaluateStage(ItemStage):
         summary["skipped"] = [
             {"id": id, "reason": reason} for id, reason in self.collection.skipped
         ]
+        summary["lost"] = self._lost()
         summary["failed"] = self._failed()
         self._write(rows, pairs, summary)
         self._draw(summary)
@@ -93,6 +94,12 @@ class EvaluateStage(ItemStage):
         """Shapes without a map, or whose map could not be evaluated."""
         rows = [*stored_rows(self.runs["parameterize"]), *self.rows]
         return [{"id": row["id"], "error": row["error"]} for row in rows if row.get("error")]
+
+    def _lost(self) -> list[Record]:
+        """Training shapes that no registration reached: nothing was learnt from them."""
+        path = self.runs.get("correspond", Path()) / "shapes.csv"
+        rows = read_table(path) if "correspond" in self.runs and path.is_file() else []
+        return [{"id": row["id"], "reason": row["error"]} for row in rows if row.get("error")]
 
     def _write(self, rows: list[Record], pairs: list[Record], summary: Record) -> None:
         write_table(self.folder / "shapes.csv", _with_errors(rows, pairs))

@@ -44,6 +44,14 @@ class GeneratorStage(FitStage):
         self.table = CodeTable(items.ids, self.encoder.latent).to(self.encoder.origin.device)
         self.table.update(items.ids, self.encode.all(items.ids, items.clouds))
 
+    def correspondence(self, codes: Tensor, batch: CorrespondenceBatch) -> Tensor:
+        """Eq. 10 over the shapes that count on this rank, with what it weighs among the ranks."""
+        mine = slice(batch.first, None)
+        generated = self.generator(codes[mine], batch.sphere[mine])
+        known = batch.valid[mine].sum() * (batch.weight > 0)
+        share = self.trainer.world_size * known / self.total(known).clamp(min=1)
+        return share * correspondence_loss(generated, batch.targets[mine], batch.valid[mine])
+
     def finish(self) -> dict[str, float]:
         """Put S_0 exactly at the origin; write the networks and the codes of all items."""
         items = self.trainer.datamodule
@@ -82,8 +90,7 @@ class InitializeStage(GeneratorStage):
 
     def training_step(self, batch: CorrespondenceBatch, index: int) -> Tensor:
         """Eq. 10."""
-        generated = self.generator(self.table.of(batch.ids), batch.sphere)
-        loss = correspondence_loss(generated, batch.targets, batch.valid)
+        loss = self.correspondence(self.table.of(batch.ids), batch)
         self.log_losses(correspondence=loss)
         return loss
 
@@ -158,11 +165,13 @@ class FinetuneStage(GeneratorStage):
 
     def training_step(self, batch: CorrespondenceBatch, index: int) -> Tensor:
         """Eq. 11, Eq. 12, and what keeps limbs from retracting."""
-        random = draws(self.seed, self.global_step, self.global_rank)
+        random = draws(self.seed, self.global_step)
         codes = self._codes(batch)
-        p = self._turned_ball(random).to(codes).expand(len(codes), -1, -1)
-        generated = self.generator(codes, p)
-        data = surface_loss(generated, [self.surfaces[id] for id in batch.ids])
+        mine = slice(batch.first, None)
+        p = self._turned_ball(random).to(codes).expand(len(codes[mine]), -1, -1)
+        generated = self.generator(codes[mine], p)
+        surfaces = [self.surfaces[id] for id in batch.ids[mine]]
+        data = batch.weight * surface_loss(generated, surfaces)
         self.log_losses(data=data)
         loss = data + self._kept(codes, batch) + self._covered(generated, batch)
         if self.geometric_regularization:
@@ -176,7 +185,7 @@ class FinetuneStage(GeneratorStage):
             return self.table.of(batch.ids)
         codes = self.encode(batch.drawn, batch.clouds)
         codes = codes - codes[:1]
-        self.table.update(batch.ids, codes)
+        self.table.update(batch.ids, codes, self.total)
         return codes
 
     def _turned_ball(self, random: torch.Generator) -> Tensor:
@@ -192,15 +201,15 @@ class FinetuneStage(GeneratorStage):
         progress = self.global_step / max(1, self.trainer.estimated_stepping_batches)
         weight = first + (last - first) * progress
         with torch.set_grad_enabled(weight > 0):
-            generated = self.generator(codes, batch.sphere)
-            loss = correspondence_loss(generated, batch.targets, batch.valid)
+            loss = self.correspondence(codes, batch)
         self.log_losses(correspondence=loss)
         return weight * loss
 
     def _covered(self, generated: Tensor, batch: CorrespondenceBatch) -> Tensor:
         """Distance of points of the shapes to the generated surfaces; logged at any weight."""
         with torch.set_grad_enabled(self.coverage_weight > 0):
-            loss = coverage_loss(batch.surface, generated, self.ball.faces)
+            loss = coverage_loss(batch.surface[batch.first :], generated, self.ball.faces)
+            loss = batch.weight * loss
         self.log_losses(coverage=loss)
         return self.coverage_weight * loss
 
@@ -209,7 +218,9 @@ class FinetuneStage(GeneratorStage):
         z = self.table.sample(self.deformation_codes, random)
         p = torch.randn((self.deformation_codes, self.deformation_points, 3), generator=random)
         p = torch.nn.functional.normalize(p, dim=2).to(z)
-        return generator_deformation(jacobian(self.generator, z, p), self.isometry_weight)
+        mine, weight = self.part(len(z))
+        metric = jacobian(self.generator, z[mine], p[mine])
+        return weight * generator_deformation(metric, self.isometry_weight)
 
 
 class Surfaces(dict[str, ClosestPointTree]):

@@ -109,9 +109,15 @@ class ImplicitStage(FitStage):
         """Eq. 9 and the penalty that holds S_0 at the origin."""
         absolute = self.encode(batch.drawn, batch.clouds)
         codes = absolute - absolute[:1]
-        self.table.update(batch.ids, codes)
-        data = sdf_loss(self.field(codes, batch.points), batch.distances, self.norm)
-        latents = encoder_penalty(codes if self.penalize == "latents" else self._weights())
+        self.table.update(batch.ids, codes, self.total)
+        counted, mine = codes[batch.first :], slice(batch.first, None)
+        predicted = self.field(counted, batch.points[mine])
+        data = batch.weight * sdf_loss(predicted, batch.distances[mine], self.norm)
+        latents = (
+            batch.weight * encoder_penalty(counted)
+            if self.penalize == "latents"
+            else encoder_penalty(self._weights())
+        )
         origin = origin_penalty(absolute[0])
         loss = data + self.encoder_weight * latents + self.origin_weight * origin
         self.log_losses(data=data, latents=latents, origin=origin)
@@ -127,7 +133,7 @@ class ImplicitStage(FitStage):
 
     def _deformation(self) -> Tensor | None:
         """Eq. 5 at one of the kept level sets; none while the field has no level set."""
-        generator = draws(self.seed, self.global_step, self.global_rank)
+        generator = draws(self.seed, self.global_step)
         if self.global_step - self.extracted >= self.sampling.every:
             self.table.join_neighbours()
             codes = self.table.sample(self.sampling.kept, generator)
@@ -140,12 +146,13 @@ class ImplicitStage(FitStage):
             (self.sampling.directions, self.encoder.latent), generator=generator
         )
         level_set = self.level_sets[chosen]
-        return implicit_deformation(
+        mine, weight = self.part(len(directions))
+        return weight * implicit_deformation(
             self.field.rowwise,
             level_set.z.to(self.device),
             level_set.points.to(self.device),
             level_set.cover.to(self.device),
-            torch.nn.functional.normalize(directions, dim=1).to(self.device),
+            torch.nn.functional.normalize(directions[mine], dim=1).to(self.device),
             self.sampling.scale_weight,
         )
 

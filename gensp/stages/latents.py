@@ -1,6 +1,6 @@
 """What the learning stages keep per item: neighbourhoods of its cloud, its code, its tree edge."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -70,9 +70,28 @@ class CodeTable(nn.Module):
         """Codes of the items."""
         return self.codes[[self.rows[id] for id in ids]]
 
-    def update(self, ids: Sequence[str], codes: Float[Tensor, "b d"]) -> None:
-        """Keep new codes of some items."""
-        self.codes[[self.rows[id] for id in ids]] = codes.detach()
+    def update(
+        self,
+        ids: Sequence[str],
+        codes: Float[Tensor, "b d"],
+        total: Callable[[Tensor], Tensor] | None = None,
+    ) -> None:
+        """Keep new codes of some items.
+
+        Parameters
+        ----------
+        total
+            Sums over the ranks, each of which brings codes of its own; none: there is one rank.
+        """
+        rows = [self.rows[id] for id in ids]
+        if total is None:
+            self.codes[rows] = codes.detach()
+            return
+        fresh, count = torch.zeros_like(self.codes), torch.zeros_like(self.codes[:, :1])
+        fresh[rows], count[rows] = codes.detach(), 1
+        fresh, count = total(fresh), total(count)
+        # Only S_0 comes from several ranks, and is zero on all of them.
+        self.codes.copy_(torch.where(count > 0, fresh / count.clamp(min=1), self.codes))
 
     def join_neighbours(self) -> None:
         """Span a minimum tree over the items seen so far, rooted at S_0, the first item."""
@@ -99,9 +118,9 @@ class CodeTable(nn.Module):
         return torch.lerp(self.codes[self.parent[chosen]], self.codes[chosen], share)
 
 
-def draws(seed: int, step: int, rank: int = 0) -> torch.Generator:
-    """Random numbers of one training step, the same whether or not training was interrupted."""
-    state = np.random.SeedSequence([seed, step, rank]).generate_state(1, np.uint64)
+def draws(seed: int, step: int) -> torch.Generator:
+    """Random numbers of one training step, the same on all ranks and after an interruption."""
+    state = np.random.SeedSequence([seed, step, 0]).generate_state(1, np.uint64)
     return torch.Generator().manual_seed(int(state[0]))
 
 

@@ -73,7 +73,7 @@ def conclude(
         metrics = module.finish()
         seconds = round(time.monotonic() - began, 3)
         facts = {
-            "inputs": {name: run.digest for name, run in inputs.items()},
+            "inputs": {name: run.outputs for name, run in inputs.items()},
             "seconds": seconds,
             "device": _device(trainer),
             "threads": torch.get_num_threads(),

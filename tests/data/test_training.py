@@ -84,16 +84,23 @@ def test_draws_depend_on_seed_and_epoch_alone(sdf: SdfModule) -> None:
     )
 
 
-def test_ranks_share_the_items(sdf: SdfModule) -> None:
-    dataset = sdf.dataset()
-    shares = []
-    for rank in range(2):
-        loader = epoch_loader(dataset, batch_size=4, rank=rank, ranks=2)
-        batches = list(loader)
-        assert all(batch.ids[0] == "sphere" for batch in batches)
-        shares.append([id for batch in batches for id in batch.ids[1:]])
-    assert len(shares[0]) == len(shares[1])
-    assert set(shares[0]) | set(shares[1]) == set(sdf.ids[1:])
+@pytest.mark.parametrize("ranks", [1, 2, 3])
+def test_ranks_share_out_the_batches_of_one_rank(sdf: SdfModule, ranks: int) -> None:
+    whole = list(epoch_loader(sdf.dataset(), batch_size=3))
+    parts = [
+        list(epoch_loader(sdf.dataset(), batch_size=3, rank=rank, ranks=ranks))
+        for rank in range(ranks)
+    ]
+    assert {len(part) for part in parts} == {len(whole)}
+    for batch, *shares in zip(whole, *parts, strict=True):
+        ids = [id for share in shares for id in share.ids[1:]]
+        assert sorted(ids) == sorted(batch.ids[1:])
+        # S_0 shows every rank the same cloud and the same samples.
+        assert all(torch.equal(share.points[0], batch.points[0]) for share in shares)
+        assert all(share.drawn[0] == batch.drawn[0] for share in shares)
+        means = [share.weight * share.distances[share.first :].mean() for share in shares]
+        expected = batch.distances.mean()
+        torch.testing.assert_close(torch.stack(means).mean(), expected, rtol=1e-5, atol=1e-7)
 
 
 def test_passes_lengthen_the_epoch(sdf: SdfModule) -> None:

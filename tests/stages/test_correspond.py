@@ -1,8 +1,11 @@
+import os
 import pickle
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+from compare import different
 
 from gensp.compute import Workers, run_items
 from gensp.data.items import item_path
@@ -14,6 +17,7 @@ from gensp.geometry.sphere import icosphere
 from gensp.runs import Run
 from gensp.stages.correspond import CorrespondStage
 from gensp.tasks.correspond import correspond_items, correspond_task
+from gensp.tasks.joining import joined_parents
 
 SETTINGS = {
     "guided": True,
@@ -58,7 +62,16 @@ def run(inputs: dict[str, Run], folder: Path, **changes: object) -> CorrespondSt
 
     items = correspond_items(inputs=inputs, folder=folder, task=task)
     list(run_items(task(inputs=inputs, folder=folder), items, folder, Workers(jobs=1)))
-    return CorrespondStage.from_runs(inputs, folder, task=task, level=2)
+    return CorrespondStage.from_runs(
+        inputs, folder, task=task, level=2, workers=Workers(jobs=1, backend="sequential")
+    )
+
+
+def turn_inside_out(inputs: dict[str, Run], id: str) -> None:
+    """Make an item a shape that nothing can be registered to."""
+    far = SHAPES[id].vertices + np.array([9.0, 0, 0])
+    faces = np.ascontiguousarray(SHAPES[id].faces[:, ::-1])
+    save_npz(item_path(inputs["augment"].folder, id), vertices=far, faces=faces)
 
 
 def test_the_icosphere_reaches_every_input_through_its_ancestors(
@@ -105,9 +118,7 @@ def test_a_failed_edge_is_joined_elsewhere_and_said_to_be(
 ) -> None:
     folder = tmp_path / "correspond"
     # The node on the way to both inputs is a shape that nothing can be registered to.
-    far = SHAPES["a@1"].with_vertices(SHAPES["a@1"].vertices + np.array([9.0, 0, 0]))
-    path = item_path(inputs["augment"].folder, "a@1")
-    save_npz(path, vertices=far.vertices, faces=np.ascontiguousarray(far.faces[:, ::-1]))
+    turn_inside_out(inputs, "a@1")
     metrics = run(inputs, folder).finish()
     tree = read_json(folder / "tree.json")
     parents = {id: tree["ids"][p] for id, p in zip(tree["ids"], tree["parent"], strict=True)}
@@ -125,10 +136,83 @@ def test_a_failed_edge_is_joined_elsewhere_and_said_to_be(
     assert read_json(folder / "tree.json") == tree
 
 
+def test_killed_before_any_write_the_ending_goes_on_to_the_same_result(
+    inputs: dict[str, Run], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    turn_inside_out(inputs, "a@1")
+    registered, whole = tmp_path / "registered", tmp_path / "whole"
+    run(inputs, registered)
+    shutil.copytree(registered, whole)
+    run(inputs, whole).finish()
+    replace, left = os.replace, 0
+
+    def killed(*paths: Path) -> None:
+        nonlocal left
+        if left == 0:
+            raise KeyboardInterrupt
+        left -= 1
+        replace(*paths)
+
+    for writes in range(100):
+        folder = tmp_path / f"killed{writes}"
+        shutil.copytree(registered, folder)
+        stage, left = run(inputs, folder), writes
+        monkeypatch.setattr(os, "replace", killed)
+        try:
+            stage.finish()
+            break
+        except KeyboardInterrupt:
+            monkeypatch.setattr(os, "replace", replace)
+        run(inputs, folder).finish()
+        assert different(folder, whole) == []
+    # Two other parents with edge and row each, and the tables of the stage.
+    assert 8 < writes < 99
+
+
+def test_other_parents_are_tried_by_the_workers(inputs: dict[str, Run], tmp_path: Path) -> None:
+    turn_inside_out(inputs, "a@1")
+    alone, shared = tmp_path / "alone", tmp_path / "shared"
+    run(inputs, alone).finish()
+    stage = run(inputs, shared)
+    stage.workers = Workers(jobs=2)
+    stage.finish()
+    assert different(alone, shared) == []
+    tried = {path.stem for path in (shared / "alternatives" / "rows").iterdir()}
+    assert tried == {"a@1%2Fsphere", "a%2Fa@0", "a%2Fsphere"}
+
+
+def test_rounds_try_what_does_not_depend_on_each_other_together(inputs: dict[str, Run]) -> None:
+    shapes = correspond_task(inputs=inputs, folder=Path(), **SETTINGS).shapes
+    # sphere → a@0 → a@1 → a → b
+    rounds: list[list[tuple[str, str]]] = []
+
+    def register(trials: list[tuple[str, str]]) -> dict[tuple[str, str], bool]:
+        rounds.append(trials)
+        return {trial: trial in (("a", "sphere"), ("b", "a@0")) for trial in trials}
+
+    found = joined_parents(shapes, {"a@0", "a"}, 3, register)
+    # The edge to a@1 failed, and the one to b; a waits for a@1, b for nothing.
+    assert rounds[0] == [("a@1", "sphere"), ("b", "a@0"), ("b", "sphere")]
+    assert rounds[1] == [("a", "a@0"), ("a", "sphere")]
+    assert len(rounds) == 2
+    assert found == {"a@0": "sphere", "a": "sphere", "b": "a@0"}
+    assert joined_parents(shapes, set(), 0, register) == {}
+
+
+def test_a_lost_input_is_said_to_be_left_out(
+    inputs: dict[str, Run], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    turn_inside_out(inputs, "b")
+    stage = run(inputs, tmp_path / "correspond")
+    stage.max_failures = 1
+    assert stage.finish()["lost"] == 1
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "warning" in line]
+    assert "1 input shapes (b) have no accepted registration and are not learnt from" in line
+    assert line.endswith("shapes.csv")
+
+
 def test_a_lost_input_is_an_error_with_its_remedy(inputs: dict[str, Run], tmp_path: Path) -> None:
-    broken = SHAPES["b"].vertices + np.array([9.0, 0, 0])
-    faces = np.ascontiguousarray(SHAPES["b"].faces[:, ::-1])
-    save_npz(item_path(inputs["augment"].folder, "b"), vertices=broken, faces=faces)
+    turn_inside_out(inputs, "b")
     stage = run(inputs, tmp_path / "correspond")
     with pytest.raises(RegistrationFailed, match=r"1 input shapes \(b\) have no .*max_failures"):
         stage.finish()

@@ -10,7 +10,7 @@ import pytest
 from lightning import Trainer
 from scipy.spatial.transform import Rotation
 
-from gensp.compute import Workers
+from gensp.compute import Workers, run_items
 from gensp.data.ground_truth import GroundTruth, save_ground_truth
 from gensp.data.modules import ItemsModule
 from gensp.data.shapes import ShapeCollection
@@ -21,6 +21,7 @@ from gensp.geometry.points import SurfacePoints, sample_surface
 from gensp.geometry.sphere import icosphere
 from gensp.geometry.spherical_map import SphericalMap, save_map
 from gensp.runs import Run
+from gensp.stages.base import write_table
 from gensp.stages.evaluate import EvaluateStage
 from gensp.stages.summary import summarize, without_nan
 from gensp.tasks.evaluate import Evaluate, evaluate_items, evaluate_task
@@ -152,6 +153,25 @@ def test_summary_groups_splits_and_lists_what_is_missing(evaluated: tuple[Path, 
     assert "open" in text
     assert "gone" in text
     assert len(table(folder / "summary.csv")) == 3
+
+
+def test_summary_names_shapes_that_no_registration_reached(
+    collection: ShapeCollection, maps: Run, tmp_path: Path
+) -> None:
+    rows = [
+        {"id": "bumpy", "depth": 1},
+        {"id": "ellipsoid", "error": "no registration reached it"},
+    ]
+    correspond = Run(tmp_path / "correspond")
+    write_table(correspond.folder / "shapes.csv", rows)
+    inputs, folder = {"parameterize": maps, "correspond": correspond}, tmp_path / "evaluate"
+    task = Evaluate(maps.folder, folder, collection, level=3, samples=100)
+    list(run_items(task, SHAPES, folder, Workers(jobs=1)))
+    EvaluateStage.from_runs(inputs, folder, collection=collection, names=NAMES).finish()
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["lost"] == [{"id": "ellipsoid", "reason": "no registration reached it"}]
+    text = (folder / "summary.md").read_text()
+    assert "## Not learnt from\n\n- ellipsoid: no registration reached it" in text
 
 
 def test_bad_faces_and_collapsed_triangles_are_counted(

@@ -94,6 +94,8 @@ def test_stage_leaves_networks_codes_and_history(tmp_path: Path) -> None:
     assert (latents["codes"][0] == 0).all()
     networks = load_model(tmp_path / "model.pt")
     assert networks.keys() == {"encoder", "field"}
+    assert networks["encoder"].settings["points"] == 128
+    assert networks["encoder"].settings["draws"] == 1
     codes = networks["encoder"](data.clouds[:, 0]).detach().numpy()
     np.testing.assert_allclose(codes, latents["codes"], atol=1e-5)
     assert (tmp_path / "history.csv").read_text().count("\n") == 4

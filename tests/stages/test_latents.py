@@ -42,13 +42,28 @@ def test_samples_lie_on_the_edges_of_the_tree() -> None:
     assert (on_last & (y > 0)).any()
 
 
-def test_draws_depend_on_seed_step_and_rank_alone() -> None:
-    first = [torch.rand((), generator=draws(1, 2, 3)).item() for _ in range(2)]
-    others = [
-        torch.rand((), generator=draws(*key)).item() for key in ((2, 2, 3), (1, 3, 3), (1, 2, 4))
-    ]
+def test_draws_depend_on_seed_and_step_alone() -> None:
+    first = [torch.rand((), generator=draws(1, 2)).item() for _ in range(2)]
+    others = [torch.rand((), generator=draws(*key)).item() for key in ((2, 2), (1, 3))]
     assert first[0] == first[1]
     assert first[0] not in others
+
+
+def test_codes_of_all_ranks_are_kept_on_each() -> None:
+    # Two ranks, one after the other: what one sums, the other has summed already.
+    news = {"a": torch.tensor([[0.0, 0], [5, 6]]), "c": torch.tensor([[0.0, 0], [7, 8]])}
+    sums: list[torch.Tensor] = []
+
+    def collect(value: torch.Tensor) -> torch.Tensor:
+        sums.append(value)
+        return value
+
+    for id, codes in news.items():
+        table().update(["sphere", id], codes, collect)
+    totals = iter([sums[0] + sums[2], sums[1] + sums[3]])
+    codes = table()
+    codes.update(["sphere", "a"], news["a"], lambda _: next(totals))
+    assert codes.of(["sphere", "a", "b", "c"]).tolist() == [[0, 0], [5, 6], [2, 0], [7, 8]]
 
 
 def test_stored_neighbourhoods_give_the_same_codes() -> None:
