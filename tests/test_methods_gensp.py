@@ -96,3 +96,21 @@ def test_method_needs_neither_lightning_nor_hydra() -> None:
     code = "import sys, gensp.methods.gensp; print({'lightning', 'hydra'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
+
+
+def test_the_fitted_surface_is_generated_between_the_mean_code_and_the_own(bumpy: Mesh) -> None:
+    parts = networks()
+    parts["generator"].mean_code.copy_(torch.linspace(-1, 1, 6))
+    seen: list[Mesh] = []
+
+    def watched(generated: Mesh, mesh: Mesh) -> Mesh:
+        seen.append(generated)
+        return generated
+
+    for own in (0.0, 0.5, 1.0):
+        method = GenSP(**parts, **{**SETTINGS, "fit": watched}, own=own)
+        code = method(bumpy).arrays["code"]
+    mean = parts["generator"].mean_code.numpy()
+    for surface, wanted in zip(seen, (mean, (mean + code) / 2, code), strict=True):
+        np.testing.assert_allclose(surface.vertices, method.generate(wanted).vertices, atol=1e-6)
+    assert np.abs(seen[0].vertices - seen[2].vertices).max() > 1e-3

@@ -40,6 +40,10 @@ class GenSP:
         Size of the encoder's cloud.
     draws
         Number of clouds whose codes are averaged.
+    own
+        The surface that is fitted is generated at the shape's own code (1), at the mean code of
+        the shapes learnt from (0), or between: a source shared by all shapes has no bias of its
+        own, but it must resemble them.
     """
 
     name = "gensp"
@@ -54,10 +58,11 @@ class GenSP:
         level: int = 6,
         points: int = 1024,
         draws: int = 8,
+        own: float = 1.0,
     ) -> None:
         self.encoder, self.generator = encoder.eval(), generator.eval()
         self.fit, self.refine = fit, refine
-        self.level, self.points, self.draws = level, points, draws
+        self.level, self.points, self.draws, self.own = level, points, draws, own
 
     @classmethod
     def load(cls, path: Path | str, **settings: Any) -> Self:
@@ -91,13 +96,18 @@ class GenSP:
         image = self.generator(torch.from_numpy(code)[None], p)[0]
         return Mesh(image.double().numpy(), ball.faces, "generated")
 
+    def _towards_mean(self, code: Float[np.ndarray, " d"]) -> Float[np.ndarray, " d"]:
+        mean: np.ndarray = self.generator.mean_code.numpy()
+        return mean + self.own * (code - mean)
+
     def __call__(self, mesh: Mesh) -> SphericalMap:
         """Map a genus-0 mesh; the map's arrays keep the prediction, its surface and the code."""
         seconds: dict[str, float] = {}
         shape = normalize(mesh)
         code = _timed(seconds, "encode", lambda: self.encode(shape))
         generated = _timed(seconds, "generate", lambda: self.generate(code))
-        fitted = _timed(seconds, "fit", lambda: self.fit(generated, shape))
+        source = generated if self.own == 1 else self.generate(self._towards_mean(code))
+        fitted = _timed(seconds, "fit", lambda: self.fit(source, shape))
         ball = icosphere(self.level).vertices
         predicted = _timed(seconds, "invert", lambda: invert(shape.vertices, fitted, ball))
         refined = _timed(seconds, "refine", lambda: self.refine(shape, predicted, predicted))

@@ -21,11 +21,14 @@ class Generator(Network):
     """
 
     latent_scale: Tensor
+    mean_code: Tensor
 
     def __init__(self, settings: dict[str, Any]) -> None:
         super().__init__()
         self.settings = settings
         self.register_buffer("latent_scale", torch.ones(()))
+        # The mean code of the shapes learnt from; it travels with the weights.
+        self.register_buffer("mean_code", torch.zeros(settings["latent"]))
 
     @torch.no_grad()
     def fit_latents(self, codes: Float[Tensor, "k d"], spread: float = 2.0) -> None:
