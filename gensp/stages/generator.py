@@ -81,8 +81,8 @@ class InitializeStage(GeneratorStage):
     def setup(self, stage: str) -> None:
         """Encode all items; scale codes by the spread of the inputs; keep their mean image."""
         super().setup(stage)
-        targets = torch.from_numpy(self.trainer.datamodule.targets[self._inputs()])
-        self.generator.mean_image = targets.mean(dim=0).to(self.table.codes.device)
+        image = self.trainer.datamodule.mean_target(self._inputs())
+        self.generator.mean_image = image.to(self.table.codes.device)
         self.generator.fit_latents(self.table.codes[self._inputs()], self.latent_spread)
 
     def training_step(self, batch: CorrespondenceBatch, index: int) -> Tensor:
