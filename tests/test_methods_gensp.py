@@ -119,3 +119,47 @@ def test_method_needs_neither_lightning_nor_hydra() -> None:
     code = "import sys, gensp.methods.gensp; print({'lightning', 'hydra'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
+
+
+def test_the_fitted_surface_lies_between_the_mean_image_and_the_own(bumpy: Mesh) -> None:
+    parts = networks()
+    parts["generator"].mean_code.copy_(torch.linspace(-1, 1, 6))
+    parts["generator"].mean_image = torch.from_numpy(1.2 * icosphere(3).vertices).float()
+    seen: list[Mesh] = []
+
+    def watched(generated: Mesh, mesh: Mesh) -> Mesh:
+        seen.append(generated)
+        return generated
+
+    for own in (0.0, 0.5, 1.0):
+        method = GenSP(**parts, **{**SETTINGS, "fit": watched}, own=own)
+        code = method(bumpy).arrays["code"]
+    mean = parts["generator"].mean_code.numpy()
+    at_mean, between = (method.generate(z).vertices for z in (mean, (mean + code) / 2))
+    np.testing.assert_allclose(seen[0].vertices, 1.2 * icosphere(3).vertices, atol=1e-6)
+    added = between - at_mean
+    np.testing.assert_allclose(seen[1].vertices - seen[0].vertices, added, atol=1e-6)
+    assert np.array_equal(seen[2].vertices, method.generate(code).vertices)
+
+
+def test_a_finer_surface_keeps_its_detail_around_the_mean_image(bumpy: Mesh) -> None:
+    parts = networks()
+    parts["generator"].mean_image = torch.from_numpy(icosphere(2).vertices + 0.5).float()
+    method = GenSP(**parts, **{**SETTINGS, "fit": unfitted}, own=0.0)
+    source = method(bumpy).arrays["fitted"]
+    # At code zero the generator is the sphere; the image is that sphere, moved.
+    np.testing.assert_allclose(source, icosphere(3).vertices + 0.5, atol=1e-6)
+
+
+def test_a_model_without_a_mean_image_says_so(bumpy: Mesh) -> None:
+    method = GenSP(**networks(), **SETTINGS, own=0.0)
+    with pytest.raises(Unsupported, match=r"no mean image.*recipe\.fit\.own=1"):
+        method(bumpy)
+
+
+def test_the_mean_image_travels_with_the_weights(tmp_path: Path) -> None:
+    parts = networks()
+    parts["generator"].mean_image = torch.rand(42, 3)
+    save_model(tmp_path / "model.pt", **parts)
+    loaded = GenSP.load(tmp_path / "model.pt", **SETTINGS)
+    assert torch.equal(loaded.generator.mean_image, parts["generator"].mean_image)

@@ -17,13 +17,14 @@ ENERGIES = {
     "stretch": STRETCH,
     # exp(s δ), δ = α·½(σ₁/σ₂ + σ₂/σ₁) + (1 − α)·½(j + 1/j) (Fu, Liu & Guo 2015; Hu et al. 2017).
     "amips": AMIPS,
-    # f + ε f², f = ½(‖J‖² + ‖J⁻¹‖²): the mean of max(σ₁, 1/σ₂)², and its largest values dearer.
+    # √(f − 2 + ε) + τ f², f = ½(‖J‖² + ‖J⁻¹‖²) ≥ 2: about max(σ₁, 1/σ₂)/√2, the quantity that is
+    # reported, as a mean; and its largest values dear.
     "sigma": SIGMA,
 }
 
 _INVERSE_STRETCH = 1e-4
 _EXPONENT, _CONFORMAL = 5.0, 0.5
-_TAIL = 0.02
+_ROUND, _TAIL = 0.2, 0.002
 
 
 @njit(cache=True)
@@ -37,7 +38,10 @@ def energy_value(energy: int, d: float, j: float) -> float:
         delta = 0.5 * _CONFORMAL * d / j + 0.5 * (1 - _CONFORMAL) * (j + 1 / j)
         return np.exp(_EXPONENT * delta) if _EXPONENT * delta < 700 else np.inf
     value = d * (1 + 1 / (j * j))
-    return value if energy == DIRICHLET else 0.5 * value * (1 + 0.5 * _TAIL * value)
+    if energy == DIRICHLET:
+        return value
+    f = 0.5 * value
+    return np.sqrt(f - 2 + _ROUND) + _TAIL * f * f
 
 
 @njit(cache=True)
@@ -62,8 +66,9 @@ def energy_slopes(energy: int, d: float, j: float) -> tuple[float, float, float,
     fd, fj, fdj, fjj = 1 + i2, -2 * d * i3, -2 * i3, 6 * d * i4
     if energy == DIRICHLET:
         return fd, fj, 0.0, fdj, fjj
-    value = d * fd
-    slope, bend = 0.5 * (1 + _TAIL * value), 0.5 * _TAIL
+    f = 0.5 * d * fd
+    root = np.sqrt(f - 2 + _ROUND)
+    slope, bend = 0.25 / root + _TAIL * f, -0.0625 / (root * root * root) + 0.5 * _TAIL
     return (
         slope * fd,
         slope * fj,

@@ -200,6 +200,14 @@ class CorrespondenceModule(FitModule):
             **settings,
         )
 
+    def mean_target(self, items: Sequence[int]) -> Float[Tensor, "v 3"]:
+        """Mean place of the vertices over the items where it is known; elsewhere that on S_0."""
+        known = self.valid[items][..., None]
+        count = known.sum(axis=0)
+        total = np.where(known, self.targets[items], 0).sum(axis=0)
+        mean = np.where(count > 0, total / np.maximum(count, 1), self.targets[0])
+        return torch.from_numpy(mean.astype(np.float32))
+
     def dataset(self) -> CorrespondenceDataset:
         """Targets of all icosphere vertices, and samplers of all surfaces."""
         ball = icosphere(_SPHERE_LEVEL)

@@ -16,6 +16,7 @@ from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.refine import invert
 from gensp.geometry.sphere import icosphere
 from gensp.geometry.spherical_map import SphericalMap
+from gensp.methods.fitting import prolong
 from gensp.models import Generator, PointNet2Encoder, load_model
 
 T = TypeVar("T")
@@ -42,6 +43,10 @@ class GenSP:
         Size of the encoder's cloud; by default as in training.
     draws
         Number of clouds whose codes are averaged; by default as in training.
+    own
+        The surface that is fitted is the one generated at the shape's own code (1), the mean
+        image of the shapes learnt from (0), or between. What all shapes share has no bias of its
+        own, but it must resemble them.
     """
 
     name = "gensp"
@@ -56,10 +61,11 @@ class GenSP:
         level: int = 6,
         points: int | None = None,
         draws: int | None = None,
+        own: float = 1.0,
     ) -> None:
         self.encoder, self.generator = encoder.eval(), generator.eval()
         self.fit, self.refine = fit, refine
-        self.level = level
+        self.level, self.own = level, own
         # Files of older versions do not tell.
         self.points = points or encoder.settings["points"] or _POINTS
         self.draws = draws or encoder.settings["draws"] or _DRAWS
@@ -96,13 +102,27 @@ class GenSP:
         image = self.generator(torch.from_numpy(code)[None], p)[0]
         return Mesh(image.double().numpy(), ball.faces, "generated")
 
+    def _towards_mean(self, code: Float[np.ndarray, " d"]) -> Mesh:
+        """The mean image, with the part `own` of what the generator adds to it for a code."""
+        mean: np.ndarray = self.generator.mean_code.numpy()
+        image: np.ndarray = self.generator.mean_image.double().numpy()
+        if len(image) == 0:
+            raise Unsupported(
+                f"own = {self.own:g}: the model holds no mean image; a model.pt of stage=finetune "
+                "or initialize is required, or set recipe.fit.own=1"
+            )
+        surface = self.generate(mean + self.own * (code - mean))
+        error = image - self.generate(mean).vertices[: len(image)]
+        return surface.with_vertices(surface.vertices + prolong(error, len(surface.vertices)))
+
     def __call__(self, mesh: Mesh) -> SphericalMap:
         """Map a genus-0 mesh; the map's arrays keep the prediction, its surface and the code."""
         seconds: dict[str, float] = {}
         shape = normalize(mesh)
         code = _timed(seconds, "encode", lambda: self.encode(shape))
         generated = _timed(seconds, "generate", lambda: self.generate(code))
-        fitted = _timed(seconds, "fit", lambda: self.fit(generated, shape))
+        source = generated if self.own == 1 else self._towards_mean(code)
+        fitted = _timed(seconds, "fit", lambda: self.fit(source, shape))
         ball = icosphere(self.level).vertices
         predicted = _timed(seconds, "invert", lambda: invert(shape.vertices, fitted, ball))
         refined = _timed(seconds, "refine", lambda: self.refine(shape, predicted, predicted))

@@ -21,11 +21,23 @@ class Generator(Network):
     """
 
     latent_scale: Tensor
+    mean_code: Tensor
+    mean_image: Tensor
 
     def __init__(self, settings: dict[str, Any]) -> None:
         super().__init__()
         self.settings = settings
         self.register_buffer("latent_scale", torch.ones(()))
+        # Of the shapes learnt from: their mean code and the mean image of an icosphere's vertices.
+        self.register_buffer("mean_code", torch.zeros(settings["latent"]))
+        self.register_buffer("mean_image", torch.zeros((0, 3)))
+
+    def _load_from_state_dict(
+        self, state_dict: dict[str, Any], prefix: str, *rest: Any, **named: Any
+    ) -> None:
+        # Only the weights know of which icosphere the image is.
+        self.mean_image = self.mean_image.new_zeros(state_dict[f"{prefix}mean_image"].shape)
+        super()._load_from_state_dict(state_dict, prefix, *rest, **named)
 
     @torch.no_grad()
     def fit_latents(self, codes: Float[Tensor, "k d"], spread: float = 2.0) -> None:

@@ -16,6 +16,7 @@ from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import icosphere
 from gensp.runs import Run
 from gensp.stages.base import ItemStage, write_table
+from gensp.tasks.again import Rounds
 from gensp.tasks.correspond import RegisterEdge, edge_path, is_input
 from gensp.tasks.joining import (
     Trial,
@@ -47,6 +48,8 @@ class CorrespondStage(ItemStage):
         More input shapes than this without correspondences end the stage.
     workers
         Processes that share the registrations to other parents.
+    rounds
+        Makes the images of the inputs agree, once they are carried.
     """
 
     def __init__(
@@ -57,11 +60,14 @@ class CorrespondStage(ItemStage):
         alternatives: int = 3,
         max_failures: int = 0,
         workers: Workers | None = None,
+        rounds: Rounds | None = None,
         folder: Path | str = Path("."),
     ) -> None:
         super().__init__(table="edges", max_failures=max_failures, folder=folder)
         self.task = task
         self.level = level
+        self.rounds = rounds or Rounds()
+        self._kept = 0
         self.alternatives = 0 if task.kind == "star" else alternatives
         self.workers = workers or Workers()
         self.parents: dict[str, str] = {}
@@ -84,7 +90,8 @@ class CorrespondStage(ItemStage):
         counts = super().finish()
         tree, reached = self._final_tree(self.parents)
         self._write_tree(tree, reached)
-        rows = [self._carried_row(id, found) for id, found in self._carried(tree, reached)]
+        images = self._agreed(dict(self._carried(tree, reached)))
+        rows = [self._carried_row(id, found) for id, found in images.items()]
         lost = [id for id in self.task.shapes.ids if is_input(id) and id not in self.parents]
         rows += [{"id": id, "error": "no registration reached it"} for id in lost]
         write_table(self.folder / "shapes.csv", rows)
@@ -166,6 +173,16 @@ class CorrespondStage(ItemStage):
         self._depth = dict(zip(ids, tree.depth().tolist(), strict=True))
         yield from ((ids[k], found) for k, found in carried if tree.parent[k] >= 0)
 
+    def _agreed(self, carried: dict[str, Correspondence]) -> dict[str, Correspondence]:
+        """The images, those of the inputs after the further rounds; writes rounds.csv."""
+        inputs = {id: found for id, found in carried.items() if is_input(id)}
+        if self.rounds.count == 0 or len(inputs) < 2:
+            return carried
+        agreed, rows = self.rounds(self.task, self.folder, inputs)
+        write_table(self.folder / "rounds.csv", rows)
+        self._kept = sum(bool(row["kept"]) for row in rows)
+        return carried | agreed
+
     def _carried_row(self, id: str, found: Correspondence) -> Row:
         """Write a shape's correspondences; measure how much of the shape they reach."""
         path = self.folder / "correspondences" / f"{id}.npz"
@@ -213,4 +230,5 @@ class CorrespondStage(ItemStage):
             "retried": sum(int(row["attempts"] or 0) > 1 for row in edges),
             "joined_elsewhere": sum(bool(row.get("joined_elsewhere")) for row in edges),
             "rejected": sum(not row["accepted"] for row in edges),
+            "registered_again": self._kept,
         }

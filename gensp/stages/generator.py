@@ -52,13 +52,17 @@ class GeneratorStage(FitStage):
         share = self.trainer.world_size * known / self.total(known).clamp(min=1)
         return share * correspondence_loss(generated, batch.targets[mine], batch.valid[mine])
 
+    def _inputs(self) -> list[int]:
+        """Rows of the input shapes in the table."""
+        return [k for id, k in self.table.rows.items() if id != SPHERE and "@" not in id]
+
     def finish(self) -> dict[str, float]:
         """Put S_0 exactly at the origin; write the networks and the codes of all items."""
         items = self.trainer.datamodule
         self.encoder.set_origin(items.clouds[0].to(self.encoder.origin.device))
-        save_codes(
-            self.folder / "latents.npz", items.ids, self.encode.all(items.ids, items.clouds)
-        )
+        codes = self.encode.all(items.ids, items.clouds)
+        save_codes(self.folder / "latents.npz", items.ids, codes)
+        self.generator.mean_code.copy_(codes[self._inputs()].mean(dim=0))
         save_model(self.folder / "model.pt", encoder=self.encoder, generator=self.generator)
         return super().finish()
 
@@ -83,10 +87,11 @@ class InitializeStage(GeneratorStage):
         return cls(encoder=encoder, folder=folder, **numbers)
 
     def setup(self, stage: str) -> None:
-        """Encode all items; scale codes by the spread of the inputs among each other."""
+        """Encode all items; scale codes by the spread of the inputs; keep their mean image."""
         super().setup(stage)
-        inputs = [id for id in self.table.rows if id != SPHERE and "@" not in id]
-        self.generator.fit_latents(self.table.of(inputs), self.latent_spread)
+        image = self.trainer.datamodule.mean_target(self._inputs())
+        self.generator.mean_image = image.to(self.table.codes.device)
+        self.generator.fit_latents(self.table.codes[self._inputs()], self.latent_spread)
 
     def training_step(self, batch: CorrespondenceBatch, index: int) -> Tensor:
         """Eq. 10."""

@@ -124,6 +124,12 @@ def test_initialize_leaves_its_encoder_as_it_was_and_scales_codes(tmp_path: Path
     assert spread.item() == pytest.approx(2, rel=1e-4)
     stage.finish()
     networks = load_model(tmp_path / "model.pt")
+    known = np.mean([mesh.vertices[30:] for mesh in ellipsoids()[:2]], axis=0)
+    sphere = icosphere(3).vertices[:30]
+    mean = np.concatenate([sphere, known])
+    np.testing.assert_allclose(networks["generator"].mean_image, mean, atol=1e-6)
+    inputs = load_npz(tmp_path / "latents.npz")["codes"][1:3]
+    np.testing.assert_allclose(networks["generator"].mean_code, inputs.mean(axis=0), atol=1e-6)
     codes = load_npz(tmp_path / "latents.npz")["codes"]
     np.testing.assert_allclose(networks["encoder"](data.clouds[:, 0]).detach(), codes, atol=1e-5)
     z, p = torch.from_numpy(codes[1:2]), torch.tensor(icosphere(1).vertices).float()[None]
