@@ -25,6 +25,7 @@ from gensp.geometry.sphere import unit
 _TETRAHEDRON = unit(np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]))
 _STILL = 1e-3  # of the mean edge: vertices that their ring moved by less are not visited
 _WORTH = 0.7  # of the vertices: a polish later than that is left to the whole map
+_FEW, _FEW_PASSES = 300, 4  # vertices of a map that is relaxed more often, times
 _STEPS = 2  # Newton steps of a vertex on each visit
 
 Polish = Callable[
@@ -49,6 +50,8 @@ class Schedule:
         Passes over all vertices at each such time.
     polish
         Sizes (in vertices) at which `embed`'s polish is called on the coarse map.
+    last, last_energy
+        Passes over the whole map at the end, and their energy if it is another one.
     """
 
     energy: str = "dirichlet"
@@ -56,6 +59,8 @@ class Schedule:
     growth: float = 1.4
     passes: int = 3
     polish: tuple[int, ...] = (400, 3000, 20_000)
+    last: int = 3
+    last_energy: str | None = None
 
 
 def embed(
@@ -122,6 +127,11 @@ class _Growing:
         """Vertices on the sphere so far."""
         return BASE + self.inserted
 
+    @property
+    def whole(self) -> bool:
+        """Whether every vertex is on the sphere."""
+        return self.inserted == len(self.order)
+
     def faces(self) -> Int[np.ndarray, "m 3"]:
         """Triangles of the map so far."""
         alive = np.ones(len(self.mesh.faces), dtype=bool)
@@ -140,7 +150,7 @@ class _Growing:
             if reached == self.inserted:
                 self._fail()
             self.inserted = reached
-        self._relax(self.schedule.passes if self.count > 300 else 4 * self.schedule.passes)
+        self._relax()
 
     def improve(self, polish: Polish) -> None:
         """Hand the coarse map to `polish`."""
@@ -184,12 +194,16 @@ class _Growing:
         scale = SPHERE_AREA / Mesh(self.mesh.vertices, faces).area
         least = self.schedule.floor * SPHERE_AREA / len(faces)
         share = SPHERE_AREA / self.count
-        return scale, least, ENERGIES[self.schedule.energy], self.pulls * share, self.goals
+        energy = (self.whole and self.schedule.last_energy) or self.schedule.energy
+        return scale, least, ENERGIES[energy], self.pulls * share, self.goals
 
-    def _relax(self, passes: int) -> None:
+    def _relax(self) -> None:
         active = np.unique(self.faces())
         still = _STILL * np.sqrt(SPHERE_AREA / self.count)
         settings = self._settings()
+        passes = self.schedule.passes * (_FEW_PASSES if self.count < _FEW else 1)
+        if self.whole:
+            passes = self.schedule.last
         for _ in range(passes):
             sweep(active, still, _STEPS, *self._arrays(), *settings, *self.work)
 

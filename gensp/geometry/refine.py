@@ -17,9 +17,17 @@ from gensp.geometry.sphere import unit
 _POLISHING = 5
 
 
+@dataclass(frozen=True)
+class Inverted:
+    """Sphere positions (n, 3) of points through a generated surface, and how far it was (n,)."""
+
+    sphere: Float[np.ndarray, "n 3"]
+    distance: Float[np.ndarray, " n"]
+
+
 def invert(
     points: Float[np.ndarray, "n 3"], generated: Mesh, sphere: Float[np.ndarray, "k 3"]
-) -> Float[np.ndarray, "n 3"]:
+) -> Inverted:
     """Sphere positions of points through a generated surface.
 
     Every point goes to the closest point of the generated surface, whose barycentric weights are
@@ -34,7 +42,34 @@ def invert(
     sphere
         Unit positions of the generated surface's vertices.
     """
-    return unit(closest_point(points, generated).at.on(sphere, generated.faces))
+    found = closest_point(points, generated)
+    return Inverted(unit(found.at.on(sphere, generated.faces)), found.distance)
+
+
+def reliability(
+    predicted: Float[np.ndarray, "n 3"],
+    faces: Int[np.ndarray, "m 3"],
+    distance: Float[np.ndarray, " n"],
+    *,
+    reach: float = 0.1,
+) -> Float[np.ndarray, " n"]:
+    """How far a predicted map can be trusted at every vertex, in [0, 1].
+
+    1/(1 + (d/r)²) of the distance d to the generated surface, times the share of faces around
+    the vertex that the prediction does not fold.
+
+    Parameters
+    ----------
+    distance
+        From the vertices to the surface that the prediction was read from, at area 4π.
+    reach
+        r, where trust has fallen to a half.
+    """
+    bad = bad_faces(predicted, faces).astype(np.float64)
+    corners = faces.reshape(-1)
+    around = np.bincount(corners, minlength=len(predicted))
+    folded = np.bincount(corners, np.repeat(bad, 3), len(predicted)) / np.maximum(around, 1)
+    return (1 - folded) / (1 + (distance / reach) ** 2)
 
 
 @dataclass(frozen=True)

@@ -90,15 +90,21 @@ class SphericalMap:
         return Mesh(self.to_surface(ball.vertices), ball.faces, self.name)
 
 
+KEPT = ("reliability",)  # arrays of a map that belong beside it in its file
 PLY_FIELDS = ("x", "y", "z", "px", "py", "pz")
 
 
 def save_map(map: SphericalMap, folder: Path | str) -> None:
-    """Write `<name>.npz` (vertices, faces, sphere) and `<name>.ply` (x y z px py pz, doubles)."""
+    """Write `<name>.npz` (vertices, faces, sphere) and `<name>.ply` (x y z px py pz, doubles).
+
+    A map with an array `reliability` (n,) keeps it in the npz.
+    """
     folder = Path(folder)
     with atomic_path(folder / f"{map.name}.ply") as temporary:
         temporary.write_bytes(_ply_bytes(map))
-    save_npz(folder / f"{map.name}.npz", vertices=map.surface, faces=map.faces, sphere=map.sphere)
+    kept = {name: map.arrays[name] for name in KEPT if name in map.arrays}
+    arrays = {"vertices": map.surface, "faces": map.faces, "sphere": map.sphere, **kept}
+    save_npz(folder / f"{map.name}.npz", **arrays)
 
 
 def load_map(path: Path | str) -> SphericalMap:
@@ -117,7 +123,10 @@ def load_map(path: Path | str) -> SphericalMap:
             f"{path}: arrays {', '.join(sorted(missing))} are missing; a spherical map has "
             "vertices, faces and sphere; write it again with stage=parameterize"
         )
-    return SphericalMap(arrays["sphere"], arrays["vertices"], arrays["faces"], path.stem)
+    kept = {name: arrays[name] for name in KEPT if name in arrays}
+    return SphericalMap(
+        arrays["sphere"], arrays["vertices"], arrays["faces"], path.stem, arrays=kept
+    )
 
 
 def _ply_bytes(map: SphericalMap) -> bytes:

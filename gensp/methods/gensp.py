@@ -13,7 +13,7 @@ from jaxtyping import Float
 from gensp.data.clouds import point_clouds
 from gensp.errors import Unsupported
 from gensp.geometry.mesh import Mesh, normalize
-from gensp.geometry.refine import invert
+from gensp.geometry.refine import invert, reliability
 from gensp.geometry.sphere import icosphere
 from gensp.geometry.spherical_map import SphericalMap
 from gensp.methods.fitting import prolong
@@ -21,7 +21,7 @@ from gensp.models import Generator, PointNet2Encoder, load_model
 
 T = TypeVar("T")
 Fit = Callable[[Mesh, Mesh], Mesh]
-Refinement = Callable[[Mesh, np.ndarray, np.ndarray], SphericalMap]
+Refinement = Callable[[Mesh, np.ndarray, np.ndarray, np.ndarray], SphericalMap]
 
 _POINTS, _DRAWS = 1024, 8
 
@@ -38,7 +38,8 @@ class GenSP:
     fit
         Called with the generated surface and the mesh; gives the generated surface to invert.
     refine
-        Called with the mesh, a start and a target on the sphere (n, 3); gives the final map.
+        Called with the mesh, a start and a target on the sphere (n, 3), and how far the target
+        can be trusted (n,); gives the final map.
     points
         Size of the encoder's cloud; by default as in training.
     draws
@@ -124,8 +125,12 @@ class GenSP:
         source = generated if self.own == 1 else self._towards_mean(code)
         fitted = _timed(seconds, "fit", lambda: self.fit(source, shape))
         ball = icosphere(self.level).vertices
-        predicted = _timed(seconds, "invert", lambda: invert(shape.vertices, fitted, ball))
-        refined = _timed(seconds, "refine", lambda: self.refine(shape, predicted, predicted))
+        found = _timed(seconds, "invert", lambda: invert(shape.vertices, fitted, ball))
+        predicted = found.sphere
+        trust = reliability(predicted, shape.faces, found.distance)
+        refined = _timed(
+            seconds, "refine", lambda: self.refine(shape, predicted, predicted, trust)
+        )
         return replace(
             refined,
             surface=mesh.vertices,
@@ -134,6 +139,7 @@ class GenSP:
             arrays={
                 **refined.arrays,
                 "predicted": predicted,
+                "reliability": trust,
                 "generated": generated.vertices,
                 "fitted": fitted.vertices,
                 "code": code,

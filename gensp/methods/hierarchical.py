@@ -95,3 +95,37 @@ class Hierarchical:
     ) -> Float[np.ndarray, "n 3"]:
         assert self.coarse is not None
         return self.coarse(mesh, u).sphere
+
+
+def dirichlet(
+    *, energy: str = "sigma", floor: float = 3.0, tolerance: float = 3e-4
+) -> Hierarchical:
+    """Ours: the symmetric Dirichlet energy while the map grows, then one that is what is reported.
+
+    Parameters
+    ----------
+    energy, floor, tolerance
+        Of the last Newton iteration. `energy="dirichlet"` ends where it began.
+    """
+    return Hierarchical(
+        name="dirichlet",
+        schedule=Schedule(energy="dirichlet", floor=floor),
+        coarse=NewtonPolish(energy="dirichlet", floor=floor, max_iterations=30, tolerance=1e-3),
+        fine=NewtonPolish(energy=energy, floor=floor, tolerance=tolerance),
+    )
+
+
+def stretch() -> Hierarchical:
+    """L² stretch, vertex by vertex, on a slowly growing map (Praun & Hoppe 2003)."""
+    return Hierarchical(
+        name="stretch",
+        schedule=Schedule(energy="stretch", floor=0.0, growth=1.2, passes=3, polish=(), last=30),
+    )
+
+
+def ahsp() -> Hierarchical:
+    """Exponential isometric energy over all triangles alike (Hu, Fu & Liu 2017)."""
+    return Hierarchical(
+        name="ahsp",
+        schedule=Schedule(energy="amips", floor=1e6, growth=1.2, passes=3, polish=(), last=30),
+    )

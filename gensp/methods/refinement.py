@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gensp.errors import NotEmbeddable
+from gensp.geometry.embedding import Schedule, embed
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.newton import Refined, refine_map
 from gensp.geometry.predicates import bad_faces, map_degree
@@ -28,6 +29,7 @@ class NoRefinement:
         mesh: Mesh,
         start: Float[np.ndarray, "n 3"],
         target: Float[np.ndarray, "n 3"] | None = None,
+        trust: Float[np.ndarray, " n"] | None = None,
     ) -> SphericalMap:
         """The map of a mesh in its own coordinates at unit positions `start`."""
         u = unit(start)
@@ -69,8 +71,11 @@ class NewtonRefinement:
         mesh: Mesh,
         start: Float[np.ndarray, "n 3"],
         target: Float[np.ndarray, "n 3"] | None = None,
+        trust: Float[np.ndarray, " n"] | None = None,
     ) -> SphericalMap:
         """The refined map of a mesh in its own coordinates; it has no bad face.
+
+        `trust` (n,) in [0, 1] tells how far the target holds at every vertex.
 
         Raises
         ------
@@ -80,21 +85,39 @@ class NewtonRefinement:
         began = time.perf_counter()
         shape, u = normalize(mesh), unit(start)
         bad = int(bad_faces(u, mesh.faces).sum())
-        untangled = self._untangled(shape, u, folded=bad > 0)
-        refined = self._minimised(shape, untangled.sphere, target)
-        moved = SPREAD if bad == 0 else UNTANGLED
+        pull = 0.0 if target is None else self._pull(trust)
+        found, rung = self._start(shape, u, target, pull, folded=bad > 0)
+        refined = self._minimised(shape, found.sphere, target, pull)
         return finished(
             mesh,
             refined.sphere,
             {
-                "rung": moved if untangled.rounds else PREDICTION,
+                "rung": rung,
                 "seconds": time.perf_counter() - began,
-                "rounds": untangled.rounds,
+                "rounds": found.rounds,
                 "iterations": refined.iterations,
                 "converged": refined.converged,
                 "bad_faces_start": bad,
             },
         )
+
+    def _pull(self, trust: Float[np.ndarray, " n"] | None) -> float | Float[np.ndarray, " n"]:
+        """γ of the refinement: the same everywhere, however far the target is trusted."""
+        return self.pull
+
+    def _start(
+        self,
+        mesh: Mesh,
+        u: Float[np.ndarray, "n 3"],
+        target: Float[np.ndarray, "n 3"] | None,
+        pull: float | Float[np.ndarray, " n"],
+        *,
+        folded: bool,
+    ) -> tuple[Untangled, str]:
+        """A map without folds to refine, and the rung of the ladder that it stands on."""
+        found = self._untangled(mesh, u, folded=folded)
+        moved = UNTANGLED if folded else SPREAD
+        return found, moved if found.rounds else PREDICTION
 
     def _untangled(self, mesh: Mesh, u: Float[np.ndarray, "n 3"], *, folded: bool) -> Untangled:
         areas = None if folded else mesh.face_areas
@@ -118,16 +141,55 @@ class NewtonRefinement:
         mesh: Mesh,
         start: Float[np.ndarray, "n 3"],
         target: Float[np.ndarray, "n 3"] | None,
+        pull: float | Float[np.ndarray, " n"],
     ) -> Refined:
         return refine_map(
             mesh,
             start,
             target=target,
-            pull=0.0 if target is None else self.pull,
+            pull=pull,
             weights=triangle_weights(mesh, self.floor),
             max_iterations=self.max_iterations,
             tolerance=self.tolerance,
         )
+
+
+@dataclass(frozen=True)
+class CertifiedRefinement(NewtonRefinement):
+    """A map without folds from any start, pulled to the target as far as it can be trusted.
+
+    The ladder: the start if it has no folds, the untangled start if few faces are folded, else
+    the hierarchical embedding guided by the target. So it works where the prediction is folded,
+    incomplete, or off by a limb's width, and what is handed out is always certified.
+
+    Attributes
+    ----------
+    untangle_up_to
+        Share of folded faces up to which untangling is tried.
+    """
+
+    untangle_up_to: float = 0.01
+
+    def _pull(self, trust: Float[np.ndarray, " n"] | None) -> float | Float[np.ndarray, " n"]:
+        return self.pull if trust is None else self.pull * trust
+
+    def _start(
+        self,
+        mesh: Mesh,
+        u: Float[np.ndarray, "n 3"],
+        target: Float[np.ndarray, "n 3"] | None,
+        pull: float | Float[np.ndarray, " n"],
+        *,
+        folded: bool,
+    ) -> tuple[Untangled, str]:
+        if bad_faces(u, mesh.faces).mean() <= self.untangle_up_to:
+            try:
+                return super()._start(mesh, u, target, pull, folded=folded)
+            except NotEmbeddable:
+                pass  # the next rung needs no start
+        schedule = Schedule(floor=self.floor)
+        grown = embed(mesh, schedule=schedule, target=target, pull=pull)
+        return Untangled(grown, 0, True), HIERARCHICAL
 
 
 def finished(

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from gensp.errors import Unsupported
 from gensp.methods import SphericalParameterization
 from gensp.methods.cmcf import CMCF
+from gensp.methods.hierarchical import ahsp, dirichlet, stretch
 from gensp.methods.refinement import NewtonRefinement
 
 DEFAULT = "dirichlet"
@@ -15,7 +16,9 @@ def _flow() -> SphericalParameterization:
 
 
 PER_SHAPE: dict[str, Callable[[], SphericalParameterization]] = {
-    "dirichlet": _flow,
+    "dirichlet": dirichlet,
+    "stretch": stretch,
+    "ahsp": ahsp,
     "cmcf": _flow,
 }
 
