@@ -155,3 +155,22 @@ def test_our_own_ply_is_read_back(bumpy, tmp_path):
 def test_other_formats_are_refused(bumpy, tmp_path):
     with pytest.raises(UnreadableMesh, match=r"format '.stl'.*\.ply, \.obj, \.m"):
         write_for_program(bumpy, tmp_path / "mesh.stl")
+
+
+def test_ply_with_single_positions_colours_and_wide_counts_is_read(bumpy, tmp_path):
+    # As MoebiusRegistration writes it: only px, py, pz are doubles.
+    sphere = unit(bumpy.vertices)
+    fields = [(name, "<f4") for name in "xyz"] + [(f"p{name}", "<f8") for name in "xyz"]
+    vertex = np.zeros(len(sphere), [*fields, ("red", "u1"), ("green", "u1"), ("blue", "u1")])
+    for k, name in enumerate("xyz"):
+        vertex[name], vertex[f"p{name}"] = bumpy.vertices[:, k], sphere[:, k]
+    face = np.zeros(len(bumpy.faces), [("count", "<i4"), ("corners", "<i4", (3,))])
+    face["count"], face["corners"] = 3, bumpy.faces
+    kinds = {"<f4": "float", "<f8": "double", "|u1": "uchar"}
+    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertex)}"]
+    head += [f"property {kinds[kind]} {name}" for name, kind in vertex.dtype.descr]
+    head += [f"element face {len(face)}", "property list int int vertex_indices", "end_header"]
+    content = "\n".join(head).encode() + b"\n" + vertex.tobytes() + face.tobytes()
+    (tmp_path / "sphere.ply").write_bytes(content)
+    found = read_sphere_positions(tmp_path / "sphere.ply", len(sphere))
+    np.testing.assert_allclose(found, sphere, rtol=0, atol=1e-15)
