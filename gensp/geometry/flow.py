@@ -103,31 +103,30 @@ def cmcf(
     mesh
         The input at any scale.
     step
-        Step sizes; by default 0.005·1.2^k up to 0.2.
+        Step sizes.
     tolerance
-        The flow ends when every vertex is this close to the unit sphere. Resolution sets a
-        floor of about 0.005, so smaller values end in "stalled".
+        The flow ends when every vertex is this close to the unit sphere; resolution sets a floor
+        of about 0.005.
     intrinsic
         Stiffness of the intrinsic Delaunay triangulation: no negative cotangents, hence fewer
         folds on the sphere. False is the plain cotangent matrix of the original.
     patience
-        The flow ends as "stalled" after so many steps that came no closer to the sphere while
-        hardly moving; with none it takes all of its steps, as the original does.
+        The flow stalls after so many steps that hardly moved and came no closer to the sphere;
+        with none it takes all of its steps, as the original does.
 
     Notes
     -----
-    Limbs shrink to hairs long before the sphere is reached and their triangles vanish; `sound`
-    tells from where. The flow is cut before the first step that cannot be computed, and, where it
-    drifts away from the sphere again, at the closest step. Nothing in it is ever not a number.
+    Limbs shrink to hairs before the sphere is reached and their triangles vanish; `sound` tells
+    from where. The flow is cut before the first step that cannot be computed, and, where it
+    stalls, at the step closest to the sphere. Nothing in it is ever not a number.
 
     Raises
     ------
     DegenerateMesh
         The input has no area, or not even the first step can be computed.
     """
-    step = step or StepSchedule()
     _require_area(mesh)
-    mesh = normalize(mesh)
+    mesh, step = normalize(mesh), step or StepSchedule()
     stiffness = delaunay_laplacian(mesh) if intrinsic else cotangent_laplacian(mesh)
     track = _Track(mesh, patience)
     reason = _run(track, stiffness, step, max_steps, tolerance)

@@ -35,11 +35,11 @@ class PlanarMap:
     converged: bool
 
 
-def most_regular_face(mesh: Mesh) -> int:
-    """The face closest to equilateral: largest area over squared edge lengths."""
+def faces_by_regularity(mesh: Mesh) -> Int[np.ndarray, " m"]:
+    """Faces from the most equilateral on, by area over squared edge lengths."""
     corners = mesh.vertices[mesh.faces]
     squares = np.sum((corners[:, [1, 2, 0]] - corners) ** 2, axis=(1, 2))
-    return int(np.argmax(mesh.face_areas / squares))
+    return np.argsort(-mesh.face_areas / squares, kind="stable")
 
 
 def inverse_stereographic(z: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
@@ -110,15 +110,39 @@ def planar_map(
     NotEmbeddable
         Rounding folds the embedding: it crowds triangles into a point.
     """
-    rest = Mesh(mesh.vertices, np.delete(mesh.faces, outer, axis=0), mesh.name)
-    z = balanced(tutte_in_triangle(mesh, outer), rest.faces, rest.face_areas)
-    energy = ComposedDirichlet(rest)
+    rest, energy, z = _started(mesh, outer)
     if not np.isfinite(energy.energy(z)):
         raise NotEmbeddable(
-            f"{mesh.name}: the planar embedding inside one triangle crowds faces until they fold; "
-            "positive areas are required; try another method, or remesh the shape"
+            f"{mesh.name}: the planar embedding inside face {outer} crowds triangles until they "
+            "fold; positive areas are required; remove another face"
         )
     return _minimise(energy, rest, z, max_iterations, tolerance)
+
+
+def removable_face(mesh: Mesh, attempts: int = 30) -> int:
+    """The most regular face inside which rounding folds no triangle of the embedding.
+
+    Raises
+    ------
+    NotEmbeddable
+        So many of the most regular faces were tried in vain.
+    """
+    for outer in faces_by_regularity(mesh)[:attempts].tolist():
+        _, energy, z = _started(mesh, outer)
+        if np.isfinite(energy.energy(z)):
+            return int(outer)
+    raise NotEmbeddable(
+        f"{mesh.name}: the planar embedding crowds triangles until they fold, inside each of the "
+        f"{attempts} most regular faces; positive areas are required; use another method, or "
+        "remesh the shape"
+    )
+
+
+def _started(mesh: Mesh, outer: int) -> tuple[Mesh, ComposedDirichlet, Float[np.ndarray, "n 2"]]:
+    """The mesh without a face, its energy, and its balanced embedding inside that face."""
+    rest = Mesh(mesh.vertices, np.delete(mesh.faces, outer, axis=0), mesh.name)
+    z = balanced(tutte_in_triangle(mesh, outer), rest.faces, rest.face_areas)
+    return rest, ComposedDirichlet(rest), z
 
 
 def _minimise(
@@ -141,6 +165,9 @@ def _minimise(
         except np.linalg.LinAlgError:
             return PlanarMap(z, value, iteration, False)
         slope = float(gradient @ step)
+        if slope >= 0:
+            # Crowded triangles have left the matrix no digits: this is no descent.
+            return PlanarMap(z, value, iteration, False)
         found = _line_search(energy, z, step.reshape(-1, 2), value, slope)
         if found is None:
             return PlanarMap(z, value, iteration, False)

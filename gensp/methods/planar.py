@@ -4,7 +4,11 @@ import time
 from dataclasses import dataclass, replace
 
 from gensp.geometry.mesh import Mesh, normalize
-from gensp.geometry.planar_reduction import inverse_stereographic, most_regular_face, planar_map
+from gensp.geometry.planar_reduction import (
+    inverse_stereographic,
+    planar_map,
+    removable_face,
+)
 from gensp.geometry.spherical_map import SphericalMap
 from gensp.methods.refinement import NoRefinement
 
@@ -20,10 +24,14 @@ class PlanarReduction:
     ----------
     max_iterations, tolerance
         Of Newton's method (`gensp.geometry.planar_reduction.planar_map`).
+    attempts
+        So many of the most regular triangles are tried until the embedding inside one is not
+        beyond double precision.
     """
 
     max_iterations: int = 300
     tolerance: float = 1e-4
+    attempts: int = 30
     name: str = "vc25"
 
     def __call__(self, mesh: Mesh) -> SphericalMap:
@@ -32,11 +40,12 @@ class PlanarReduction:
         Raises
         ------
         NotEmbeddable
-            The planar embedding to start from is beyond double precision.
+            The planar embedding to start from is beyond double precision, whichever triangle is
+            removed.
         """
         began = time.perf_counter()
         shape = normalize(mesh)
-        outer = most_regular_face(shape)
+        outer = removable_face(shape, self.attempts)
         found = planar_map(
             shape, outer, max_iterations=self.max_iterations, tolerance=self.tolerance
         )

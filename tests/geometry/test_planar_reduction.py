@@ -3,19 +3,25 @@
 import numpy as np
 import pytest
 
+from gensp.errors import NotEmbeddable
 from gensp.geometry.assembly import HessianPattern
 from gensp.geometry.composed_dirichlet import ComposedDirichlet
 from gensp.geometry.distortion import distortion
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.planar_reduction import (
     balanced,
+    faces_by_regularity,
     inverse_stereographic,
-    most_regular_face,
     planar_map,
+    removable_face,
     tutte_in_triangle,
 )
 from gensp.geometry.predicates import bad_faces, map_degree
 from gensp.geometry.sphere import icosphere
+
+
+def first_face(mesh: Mesh) -> int:
+    return int(faces_by_regularity(mesh)[0])
 
 
 def without(mesh: Mesh, face: int) -> Mesh:
@@ -30,7 +36,7 @@ def shape(ellipsoid: Mesh) -> Mesh:
 @pytest.fixture
 def embedded(shape: Mesh) -> tuple[Mesh, np.ndarray]:
     """The open mesh and a planar map without folds."""
-    outer = most_regular_face(shape)
+    outer = first_face(shape)
     rest = without(shape, outer)
     return rest, balanced(tutte_in_triangle(shape, outer), rest.faces, rest.face_areas)
 
@@ -72,7 +78,7 @@ def test_folded_plane_has_infinite_energy(embedded):
 
 
 def test_tuttes_embedding_folds_nothing_and_fills_its_triangle(limbed):
-    outer = most_regular_face(limbed)
+    outer = first_face(limbed)
     z = tutte_in_triangle(limbed, outer)
     rest = without(limbed, outer)
     assert (signed_areas(z, rest.faces) > 0).all()
@@ -108,12 +114,12 @@ def test_most_regular_face_is_the_equilateral_one():
     vertices[ball.faces[7]] = (
         middle + np.outer(np.cos(angles), first) + np.outer(np.sin(angles), second)
     )
-    assert most_regular_face(Mesh(vertices, ball.faces)) == 7
+    assert first_face(Mesh(vertices, ball.faces)) == 7
 
 
 def test_ball_is_mapped_almost_isometrically():
     ball = normalize(icosphere(3))
-    found = planar_map(ball, most_regular_face(ball))
+    found = planar_map(ball, first_face(ball))
     sphere = inverse_stereographic(found.plane)
     assert found.converged
     assert not bad_faces(sphere, ball.faces).any()
@@ -123,9 +129,22 @@ def test_ball_is_mapped_almost_isometrically():
 
 def test_energy_of_the_optimum_is_below_the_starts(shape, embedded):
     mesh, z = embedded
-    found = planar_map(shape, most_regular_face(shape))
+    found = planar_map(shape, first_face(shape))
     energy = ComposedDirichlet(mesh)
     assert found.energy == pytest.approx(energy.energy(found.plane))
     assert found.energy < 0.9 * energy.energy(z)
     # No map has less than an isometry's four times the area.
     assert found.energy > 4 * mesh.area
+
+
+def test_removable_face_is_the_first_unless_nothing_can_be_embedded(shape, monkeypatch):
+    assert removable_face(shape) == first_face(shape)
+    flat = shape.with_vertices(shape.vertices, "crowded")
+    monkeypatch.setattr(
+        "gensp.geometry.planar_reduction.tutte_in_triangle",
+        lambda mesh, outer: 1e-30 * np.round(mesh.vertices[:, :2]),
+    )
+    with pytest.raises(NotEmbeddable, match=r"crowded: .* 3 most regular faces.*another method"):
+        removable_face(flat, attempts=3)
+    with pytest.raises(NotEmbeddable, match=r"inside face 5 .*remove another face"):
+        planar_map(flat, 5)
