@@ -11,7 +11,7 @@ import sys
 from rich.console import Console
 from rich.progress import track
 
-BENCHMARKS = ("cmcf", "closest_point", "registration", "newton", "regularizer")
+BENCHMARKS = ("cmcf", "closest_point", "registration", "rotation", "newton", "regularizer")
 
 
 def markdown(rows: list[dict[str, object]]) -> str:

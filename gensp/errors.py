@@ -54,3 +54,7 @@ class OutputError(GenSPError):
 
 class Unsupported(GenSPError):
     """A combination of settings that cannot give a correct result."""
+
+
+class ExternalToolFailed(GenSPError):
+    """A program of other authors is missing, failed, or left no spherical map."""

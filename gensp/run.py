@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,6 +17,7 @@ from hydra.utils import instantiate
 from lightning import Trainer, seed_everything
 from lightning.pytorch.utilities import rank_zero_only
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import InterpolationKeyError
 
 from gensp.errors import GenSPError, MissingData, OutputError, Unsupported
 from gensp.files import write_text
@@ -119,11 +121,26 @@ def run_stage(cfg: DictConfig, overrides: Sequence[str] = (), place: str = "") -
 
 
 def _require_values(cfg: DictConfig) -> None:
-    missing = sorted(OmegaConf.missing_keys(cfg))
+    try:
+        missing = sorted(OmegaConf.missing_keys(cfg))
+    except InterpolationKeyError as error:
+        raise Unsupported(_unknown_word(cfg, str(error))) from None
     if missing:
         raise MissingData(
             f"{', '.join(missing)}: no value was given; one is required; add {missing[0]}=VALUE"
         )
+
+
+def _unknown_word(cfg: DictConfig, complaint: str) -> str:
+    """What to tell when a key holds a word that a table of the configuration does not have."""
+    found = re.search(r"'([^']+)' not found", complaint)
+    words = found.group(1).split(".") if found else []
+    for place, word in enumerate(words):
+        table = ".".join(words[:place])
+        known = OmegaConf.select(cfg, table) if table else cfg
+        if word not in known:
+            return f"{table}: has no '{word}'; one of {', '.join(map(str, known))} is required"
+    return complaint.splitlines()[0]
 
 
 def runs_of(cfg: DictConfig, overrides: Sequence[str] = ()) -> Runs:

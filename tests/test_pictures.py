@@ -224,10 +224,12 @@ def test_loss_curves_draw_every_term(tmp_path):
     np.testing.assert_allclose(panel.lines[0].get_ydata(), [1.0, 0.5])
 
 
-def test_error_curves_draw_both_kinds():
-    curves = {"thresholds": [0, 0.01], "test": {"raw": [0, 0.5], "rotated": [0, 0.6]}}
-    panel = error_curves(curves).axes[0]
-    assert [line.get_label() for line in panel.lines] == ["test", "test, best rotation"]
+def test_error_curves_draw_every_kind():
+    lines = {"raw": [0, 0.5], "rotated": [0, 0.6], "registered": [0, 0.55]}
+    panel = error_curves({"thresholds": [0, 0.01], "test": lines}).axes[0]
+    labels = [line.get_label() for line in panel.lines]
+    assert labels == ["test", "test, best rotation", "test, registered"]
+    np.testing.assert_array_equal(panel.lines[2].get_ydata(), lines["registered"])
 
 
 def test_principal_plane_finds_the_plane(rng):

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from commands import ROOT, command, environment, run_here, smoke_words, train
 
-from gensp.errors import MissingData, OutputError, StaleRun
+from gensp.errors import MissingData, OutputError, StaleRun, Unsupported
 
 
 def complaint(*words: str) -> str:
@@ -39,6 +39,26 @@ def test_other_predecessor_is_named(smoke_copy: Path) -> None:
     run_here(*words, "stage=augment", "force=true", "recipe.augment.samples=3")
     with pytest.raises(StaleRun, match=r"of stage augment .* stage=implicit force=true"):
         run_here(*words, "stage=implicit")
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (
+            ("method=arap", "method.start=foo"),
+            "method.starts: has no 'foo'; one of cmcf, dirichlet is required",
+        ),
+        (
+            ("method=external", "method.tool=foo"),
+            "method.tools: has no 'foo'; one of SphereMap, SphereParam, SphereEmbedding is "
+            "required",
+        ),
+    ],
+)
+def test_unknown_word_lists_the_known_ones(words: tuple[str, ...], line: str) -> None:
+    with pytest.raises(Unsupported) as caught:
+        run_here("stage=parameterize", *words)
+    assert str(caught.value) == line
 
 
 def test_missing_value_is_asked_for() -> None:

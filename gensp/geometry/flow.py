@@ -21,7 +21,6 @@ from gensp.geometry.sphere import icosphere
 
 # A triangle below this share of its first area (both shapes at 4π) no longer carries a shape.
 SMALLEST_SHARE = 1e-6
-_PATIENCE = 10
 _STILL = 5e-3
 _SPHERE_LEVEL = 4
 
@@ -96,6 +95,7 @@ def cmcf(
     max_steps: int = 100,
     tolerance: float = 0.015,
     intrinsic: bool = True,
+    patience: int | None = 10,
 ) -> Flow:
     """Flow a genus-0 mesh to the sphere: (M_t + δ L) x_{t+1} = M_t x_t, re-centred, area 4π.
 
@@ -104,31 +104,43 @@ def cmcf(
     mesh
         The input at any scale.
     step
-        Step sizes; by default 0.005·1.2^k up to 0.2.
+        Step sizes.
     tolerance
-        The flow ends when every vertex is this close to the unit sphere. Resolution sets a
-        floor of about 0.005, so smaller values end in "stalled".
+        The flow ends when every vertex is this close to the unit sphere; resolution sets a floor
+        of about 0.005.
     intrinsic
         Stiffness of the intrinsic Delaunay triangulation: no negative cotangents, hence fewer
         folds on the sphere. False is the plain cotangent matrix of the original.
+    patience
+        The flow stalls after so many steps that hardly moved and came no closer to the sphere;
+        with none it takes all of its steps, as the original does.
 
     Notes
     -----
-    Limbs shrink to hairs long before the sphere is reached and their triangles vanish; `sound`
-    tells from where. The flow is cut before the first step that cannot be computed, and, where it
-    drifts away from the sphere again, at the closest step. Nothing in it is ever not a number.
+    Limbs shrink to hairs before the sphere is reached and their triangles vanish; `sound` tells
+    from where. The flow is cut before the first step that cannot be computed, and, where it
+    stalls, at the step closest to the sphere. Nothing in it is ever not a number.
 
     Raises
     ------
     DegenerateMesh
         The input has no area, or not even the first step can be computed.
     """
-    step = step or StepSchedule()
     _require_area(mesh)
-    mesh = normalize(mesh)
+    mesh, step = normalize(mesh), step or StepSchedule()
     stiffness = delaunay_laplacian(mesh) if intrinsic else cotangent_laplacian(mesh)
-    track, solver = _Track(mesh), None
-    reason = "steps"
+    track = _Track(mesh, patience)
+    reason = _run(track, stiffness, step, max_steps, tolerance)
+    if len(track.shapes) == 1:
+        raise DegenerateMesh(f"{mesh.name}: {reason}; a mesh that can flow is required; remesh it")
+    return track.flow(step, reason)
+
+
+def _run(
+    track: "_Track", stiffness: sp.csc_matrix, step: StepSchedule, max_steps: int, tolerance: float
+) -> str:
+    """Take the steps of a flow; why it ended."""
+    mesh, solver = track.shapes[0], None
     for k in range(max_steps):
         before = track.shapes[-1].vertices
         mass = lumped_mass(before, mesh.faces)
@@ -136,24 +148,20 @@ def cmcf(
             solver = _factored(solver, sp.diags(mass, format="csc") + step(k) * stiffness, mesh)
             shape = _renormalized(mesh, solver.solve(mass[:, None] * before))
         except (np.linalg.LinAlgError, DegenerateMesh) as error:
-            reason = f"degenerate: {error}"
-            break
+            return f"degenerate: {error}"
         track.add(shape, _displacement(before, shape.vertices, mass))
         if track.errors[-1] < tolerance:
-            reason = "sphere"
-            break
+            return "sphere"
         if track.stalled():
-            reason = "stalled"
-            break
-    if len(track.shapes) == 1:
-        raise DegenerateMesh(f"{mesh.name}: {reason}; a mesh that can flow is required; remesh it")
-    return track.flow(step, reason)
+            return "stalled"
+    return "steps"
 
 
 class _Track:
     """The shapes of a flow so far, with what decides when it ends."""
 
-    def __init__(self, mesh: Mesh) -> None:
+    def __init__(self, mesh: Mesh, patience: int | None) -> None:
+        self.patience = patience
         self.shapes, self.moved = [mesh], [0.0]
         self.errors, self.sound = [_sphere_error(mesh)], [True]
 
@@ -166,8 +174,10 @@ class _Track:
         self.sound.append(whole and not folded_faces(shape).any())
 
     def stalled(self) -> bool:
+        if self.patience is None:
+            return False
         since_best = len(self.errors) - 1 - int(np.argmin(self.errors))
-        return since_best >= _PATIENCE and self.moved[-1] < _STILL
+        return since_best >= self.patience and self.moved[-1] < _STILL
 
     def flow(self, step: StepSchedule, reason: str) -> Flow:
         kept = int(np.argmin(self.errors)) + 1 if reason == "stalled" else len(self.shapes)

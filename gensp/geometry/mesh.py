@@ -239,7 +239,8 @@ def _signed_volume(mesh: Mesh) -> float:
 def normalize(mesh: Mesh) -> Mesh:
     """Area-weighted centroid at the origin, total area 4π: the scale of the unit sphere."""
     weights = mesh.face_areas / mesh.area
-    centroid = weights @ mesh.vertices[mesh.faces].mean(axis=1)
+    corners = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    centroid = weights @ sum(corners) / 3
     return replace(mesh, vertices=(mesh.vertices - centroid) * np.sqrt(SPHERE_AREA / mesh.area))
 
 

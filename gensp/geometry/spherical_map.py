@@ -15,6 +15,7 @@ from gensp.geometry.certificate import Certificate, certify
 from gensp.geometry.distortion import Distortion, distortion
 from gensp.geometry.location import SphereLocator
 from gensp.geometry.mesh import Mesh
+from gensp.geometry.ply import ply_bytes
 from gensp.geometry.points import SurfacePoints
 from gensp.geometry.predicates import bad_faces, map_degree
 from gensp.geometry.sphere import icosphere, unit
@@ -92,6 +93,7 @@ class SphericalMap:
 
 KEPT = ("reliability",)  # arrays of a map that belong beside it in its file
 PLY_FIELDS = ("x", "y", "z", "px", "py", "pz")
+PLY_COMMENT = "px py pz: position on the unit sphere"
 
 
 def save_map(map: SphericalMap, folder: Path | str) -> None:
@@ -101,7 +103,8 @@ def save_map(map: SphericalMap, folder: Path | str) -> None:
     """
     folder = Path(folder)
     with atomic_path(folder / f"{map.name}.ply") as temporary:
-        temporary.write_bytes(_ply_bytes(map))
+        values = np.concatenate([map.surface, map.sphere], axis=1)
+        temporary.write_bytes(ply_bytes(PLY_FIELDS, values, map.faces, PLY_COMMENT))
     kept = {name: map.arrays[name] for name in KEPT if name in map.arrays}
     arrays = {"vertices": map.surface, "faces": map.faces, "sphere": map.sphere, **kept}
     save_npz(folder / f"{map.name}.npz", **arrays)
@@ -127,23 +130,3 @@ def load_map(path: Path | str) -> SphericalMap:
     return SphericalMap(
         arrays["sphere"], arrays["vertices"], arrays["faces"], path.stem, arrays=kept
     )
-
-
-def _ply_bytes(map: SphericalMap) -> bytes:
-    # Text, or single precision, would fold tiny faces by rounding: doubles keep the certificate.
-    vertex = np.concatenate([map.surface, map.sphere], axis=1).astype("<f8")
-    face = np.empty(len(map.faces), dtype=[("count", "u1"), ("corners", "<i4", (3,))])
-    face["count"], face["corners"] = 3, map.faces
-    header = "\n".join(
-        [
-            "ply",
-            "format binary_little_endian 1.0",
-            "comment px py pz: position on the unit sphere",
-            f"element vertex {len(vertex)}",
-            *(f"property double {name}" for name in PLY_FIELDS),
-            f"element face {len(face)}",
-            "property list uchar int vertex_indices",
-            "end_header\n",
-        ]
-    )
-    return header.encode() + vertex.tobytes() + face.tobytes()

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from gensp.errors import NotEmbeddable
 from gensp.geometry.alignment import centre_of_area, moebius_center
 from gensp.geometry.certificate import certify
-from gensp.geometry.flow import StepSchedule, cmcf
+from gensp.geometry.flow import Flow, StepSchedule, cmcf
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.predicates import bad_faces, spherical_orientation
 from gensp.geometry.sphere import unit
@@ -32,7 +32,7 @@ class CMCF:
     ----------
     refine
         Called with the mesh, the start (n, 3) and no target; gives the final map.
-    step, max_steps, tolerance
+    step, max_steps, tolerance, intrinsic, patience
         Of the flow (Kazhdan, Solomon & Ben-Chen 2012).
     """
 
@@ -40,13 +40,15 @@ class CMCF:
     step: StepSchedule = field(default_factory=StepSchedule)
     max_steps: int = 100
     tolerance: float = 0.015
+    intrinsic: bool = True
+    patience: int | None = 10
     name: str = "cmcf"
 
     def __call__(self, mesh: Mesh) -> SphericalMap:
         """Map a genus-0 mesh; the diagnostics tell how its flow ended, and if it is centred."""
         began = time.perf_counter()
         shape = normalize(mesh)
-        flow = cmcf(shape, step=self.step, max_steps=self.max_steps, tolerance=self.tolerance)
+        flow = self._flow(shape)
         start = _centred(_outward(unit(flow.vertices[-1]), shape), shape)
         refined = self.refine(mesh, start, None)
         sphere = _certified_centre(refined.sphere, shape)
@@ -58,6 +60,16 @@ class CMCF:
             "seconds": time.perf_counter() - began,
         }
         return replace(refined, sphere=sphere, diagnostics={**refined.diagnostics, **found})
+
+    def _flow(self, mesh: Mesh) -> Flow:
+        return cmcf(
+            mesh,
+            step=self.step,
+            max_steps=self.max_steps,
+            tolerance=self.tolerance,
+            intrinsic=self.intrinsic,
+            patience=self.patience,
+        )
 
 
 def _outward(u: Float[np.ndarray, "n 3"], mesh: Mesh) -> Float[np.ndarray, "n 3"]:

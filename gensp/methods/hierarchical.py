@@ -109,8 +109,8 @@ def dirichlet(
     """
     return Hierarchical(
         name="dirichlet",
-        schedule=Schedule(energy="dirichlet", floor=floor),
-        coarse=NewtonPolish(energy="dirichlet", floor=floor, max_iterations=30, tolerance=1e-3),
+        schedule=Schedule(energy="dirichlet", floor=1.0),
+        coarse=NewtonPolish(energy="dirichlet", max_iterations=30, tolerance=1e-3),
         fine=NewtonPolish(energy=energy, floor=floor, tolerance=tolerance),
     )
 

@@ -71,6 +71,13 @@ def _losses(panel: "Axes", history: History) -> None:
     _plain(panel)
 
 
+_ERROR_LINES = {
+    "raw": ("-", ""),
+    "rotated": (":", ", best rotation"),
+    "registered": ("--", ", registered"),
+}
+
+
 def error_curves(curves: Mapping[str, Any]) -> "Figure":
     """Fraction of points whose implied correspondence is closer than x (a summary's curves)."""
     drawing = figure(6.4, 4.2)
@@ -79,9 +86,9 @@ def error_curves(curves: Mapping[str, Any]) -> "Figure":
         if split == "thresholds":
             continue
         colour = np.array(SPLIT_COLOURS.get(split, (60, 60, 60))) / 255
-        for kind, style in (("raw", "-"), ("rotated", ":")):
+        for kind, (style, words) in _ERROR_LINES.items():
             if lines.get(kind):
-                label = f"{split}, best rotation" if kind == "rotated" else split
+                label = split + words
                 panel.plot(curves["thresholds"], lines[kind], style, color=colour, label=label)
     panel.set(xlabel="error / √area", ylabel="fraction of points below", ylim=(0, 1.02))
     panel.set_xlim(left=0)

@@ -23,7 +23,16 @@ from gensp.pictures.texture import cube_map
 from gensp.tables import Column, cell, columns_of
 
 PACKAGES = ("gensp", "torch", "lightning", "numpy", "scipy", "libigl", "trimesh", "torchdiffeq")
-CARDS = ("sigma_mean", "sigma_max", "error", "error_rotated", "c", "bad_faces_percent", "seconds")
+CARDS = (
+    "sigma_mean",
+    "sigma_max",
+    "error",
+    "error_rotated",
+    "error_registered",
+    "c",
+    "bad_faces_percent",
+    "seconds",
+)
 TEXTURE_SIZE = 512
 PICTURE_WIDTH = 1800
 

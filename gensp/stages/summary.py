@@ -11,8 +11,10 @@ from gensp.geometry.consistency import nearest_neighbours
 GROUPS = ("train", "val", "test", "all")
 NORMALIZATION = "surface and sphere triangulations scaled to total area 4π, chordal triangles"
 THRESHOLDS = np.linspace(0, 0.1, 51)
-_DENSE = ("error", "error_rotated")
-_NEIGHBOURS = ("c", "c_rotated", "c_area", "c_area_rotated")
+_DENSE = ("error", "error_rotated", "error_registered")
+_NEIGHBOURS = tuple(
+    name + suffix for name in ("c", "c_area") for suffix in ("", "_rotated", "_registered")
+)
 
 Record = dict[str, Any]
 
@@ -100,6 +102,7 @@ def error_curves(pairs: Sequence[Record]) -> dict[str, Any]:
             curves[group] = {
                 "raw": _fractions([pair["quantiles"] for pair in dense]),
                 "rotated": _fractions([pair["quantiles_rotated"] for pair in dense]),
+                "registered": _fractions([pair["quantiles_registered"] for pair in dense]),
             }
     return {"thresholds": THRESHOLDS.round(6).tolist(), **curves} if curves else {}
 

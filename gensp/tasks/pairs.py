@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 
 from gensp.data.ground_truth import GroundTruth, common_points
 from gensp.geometry.consistency import (
@@ -18,6 +18,7 @@ from gensp.geometry.consistency import (
 )
 from gensp.geometry.mesh import normalize
 from gensp.geometry.points import SurfacePoints
+from gensp.geometry.rotation_registration import density_signal, register_rotation
 from gensp.geometry.spherical_map import SphericalMap
 
 # The errors of a pair are kept at these quantiles, for the curve "fraction below x".
@@ -41,6 +42,12 @@ class EvaluatedMap:
         self.truth, self.keypoints = truth, keypoints
         self.samples = samples
         self.hausdorff = HausdorffIndex(self.map.mesh)
+
+    @cached_property
+    def signal(self) -> Complex[np.ndarray, "l o"]:
+        """What the map is registered by where no ground truth may be used."""
+        mesh = self.map.mesh
+        return density_signal(self.map.sphere, mesh.faces, mesh.face_areas)
 
     @cached_property
     def weights(self) -> Mapping[str, Float[np.ndarray, " k"]]:
@@ -105,12 +112,19 @@ def _errors(
     points: Points,
     weights: Float[np.ndarray, " k"] | None = None,
 ) -> tuple[Record, dict[str, tuple[np.ndarray, np.ndarray]]]:
-    """Implied-correspondence errors in both directions, without and with the best rotation."""
+    """Implied-correspondence errors in both directions, without rotation and with two.
+
+    The first is the best there is, by the ground truth; the second is found without it.
+    """
     at_a, at_b = points
-    rotation = pair_rotation(a.map, b.map, at_a, at_b, weights)
+    turns = {
+        "": np.eye(3),
+        "_rotated": pair_rotation(a.map, b.map, at_a, at_b, weights),
+        "_registered": register_rotation(a.signal, b.signal, candidates=1)[0].rotation,
+    }
     record: Record = {}
     errors = {}
-    for suffix, turn in (("", np.eye(3)), ("_rotated", rotation)):
+    for suffix, turn in turns.items():
         there = correspondence_error(a.map, b.map, at_a, at_b, turn)
         back = correspondence_error(b.map, a.map, at_b, at_a, turn.T)
         record["error" + suffix] = float((there.mean() + back.mean()) / 2)

@@ -164,3 +164,12 @@ def test_scores_below_twice_the_median_are_accepted():
     np.testing.assert_array_equal(accepted(scores), [True, True, True, True, False, False])
     np.testing.assert_array_equal(accepted(scores, factor=1.0), [True, True, *[False] * 4])
     assert not accepted(np.array([np.inf, np.nan])).any()
+
+
+def test_a_flow_without_patience_takes_all_its_steps(bumpy):
+    flow = cmcf(bumpy, tolerance=0.0, max_steps=60, patience=None)
+    stalled = cmcf(bumpy, tolerance=0.0, max_steps=60)
+    assert (flow.reason, len(flow.times)) == ("steps", 61)
+    assert stalled.reason == "stalled"
+    # The same flow, only longer.
+    np.testing.assert_array_equal(flow.vertices[: len(stalled.vertices)], stalled.vertices)

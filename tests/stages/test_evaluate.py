@@ -102,6 +102,8 @@ def test_maps_that_agree_have_no_error_and_turned_ones_none_after_rotation(
         assert row["group"] == ("mixed" if turned else "train")
         assert row["points"] == "400"
         assert float(row["error_rotated"]) < 1e-9
+        # Registration knows no ground truth, so it cannot do better than the best rotation.
+        assert float(row["error_registered"]) > float(row["error_rotated"])
         assert float(row["c_area_rotated"]) < 1e-7
         assert (float(row["error"]) > 0.05) == turned
         assert (float(row["c"]) > 0.05) == turned
@@ -146,9 +148,11 @@ def test_summary_groups_splits_and_lists_what_is_missing(evaluated: tuple[Path, 
     assert metrics["all/error"] == pytest.approx(everything["error"])
     curve = summary["curves"]["train"]["raw"]
     assert curve[1] == 1
-    rotated, raw = (np.array(summary["curves"]["all"][key]) for key in ("rotated", "raw"))
+    curves = summary["curves"]["all"]
+    rotated, raw = (np.array(curves[key]) for key in ("rotated", "raw"))
     assert (np.diff(raw) >= 0).all()
     assert (rotated >= raw)[1:].all()
+    assert (rotated >= np.array(curves["registered"]))[1:].all()
     text = (folder / "summary.md").read_text()
     assert "open" in text
     assert "gone" in text
@@ -218,12 +222,32 @@ def test_pair_figures_are_symmetric(
     ahead, back = pair_records(one, other)[0], pair_records(other, one)[0]
     for key in ("error", "error_max", "hausdorff", "c", "c_area"):
         assert ahead[key] == pytest.approx(back[key], rel=1e-9)
+    assert ahead["error_registered"] == pytest.approx(back["error_registered"], rel=1e-6)
     # Scale and position of the input do not matter.
     moved = bumpy.with_vertices(7 * bumpy.vertices + np.array([3.0, -2, 1]))
     shifted = EvaluatedMap(SphericalMap(ball, moved.vertices, moved.faces), truth)
     again = pair_records(shifted, other)[0]
-    for key in ("error", "error_rotated", "c", "c_area_rotated"):
+    for key in ("error", "error_rotated", "error_registered", "c", "c_area_rotated"):
         assert again[key] == pytest.approx(ahead[key], rel=1e-6)
+
+
+def test_registered_figures_do_not_see_the_rotations_of_the_maps(
+    bumpy: Mesh, rng: np.random.Generator
+) -> None:
+    truth = GroundTruth("ball", np.arange(200), sample_surface(bumpy.face_areas, 200, rng))
+    ball = icosphere(3).vertices
+    # The same shape with more of one bump.
+    grown = bumpy.with_vertices(bumpy.vertices * np.where(ball[:, :1] > 0.4, 1.1, 1))
+    still, other = (
+        EvaluatedMap(SphericalMap(ball, m.vertices, m.faces), truth) for m in (bumpy, grown)
+    )
+    turned = EvaluatedMap(SphericalMap(ball @ TURN.T, bumpy.vertices, bumpy.faces), truth)
+    before, after = pair_records(still, other)[0], pair_records(turned, other)[0]
+    assert after["error"] > 5 * before["error_registered"]
+    for key in ("error_registered", "c_area_registered"):
+        assert after[key] == pytest.approx(before[key], rel=1e-5)
+    # The samples of c are drawn on the sphere, which does not turn with the map.
+    assert after["c_registered"] == pytest.approx(before["c_registered"], rel=0.02)
 
 
 def test_ground_truth_of_another_mesh_is_refused(

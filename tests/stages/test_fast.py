@@ -18,7 +18,10 @@ def test_one_batch(stage: str, smoke: Path) -> None:
     assert listing(smoke) == before
 
 
-@pytest.mark.parametrize("words", [("fit=register",), ("method=cmcf",), ("refine=none",)])
+@pytest.mark.parametrize(
+    "words",
+    [("fit=register",), ("method=cmcf",), ("method=arap",), ("method=vc25",), ("refine=none",)],
+)
 def test_one_map(words: tuple[str, ...], smoke: Path) -> None:
     run_here(*smoke_words(smoke), "stage=parameterize", "debug=fast", *words)
 
