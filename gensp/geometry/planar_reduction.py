@@ -15,10 +15,10 @@ from jaxtyping import Float, Int
 from gensp.errors import NotEmbeddable
 from gensp.geometry.assembly import HessianPattern
 from gensp.geometry.composed_dirichlet import ComposedDirichlet
-from gensp.geometry.dirichlet import project_positive
 from gensp.geometry.linear import SPDSolver
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.operators import adjacency, lumped_mass
+from gensp.geometry.spherical_energy import project_positive
 
 _RIDGE = 1e-6  # times the vertex areas on the sphere: holds the turns about the pole
 _SUFFICIENT = 1e-4  # Armijo
