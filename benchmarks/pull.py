@@ -1,0 +1,125 @@
+"""Consistency against distortion over the pull γ, from the predictions of a finished run.
+
+python benchmarks/pull.py runs/quickstart/full/parameterize data/heads --out docs/pull_heads
+
+Every prediction of the run is refined with refine=certify at several γ; `--out` gets a table
+(csv) and a picture (png). Error: implied correspondence over √area, mean over the pairs with dense
+ground truth, without rotation.
+"""
+
+import argparse
+import csv
+from collections.abc import Iterator
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from gensp.data.ground_truth import common_points
+from gensp.data.shapes import ShapeCollection
+from gensp.files import atomic_path, load_npz
+from gensp.geometry.consistency import correspondence_error
+from gensp.geometry.mesh import normalize
+from gensp.geometry.spherical_map import SphericalMap
+from gensp.methods.refinement import CertifiedRefinement, NoRefinement
+from gensp.pictures.curves import figure, save_figure
+
+GAMMAS = (0.0, 1.0, 10.0, 30.0, 100.0, 300.0)
+FLOOR = 0.3
+
+
+def maps(
+    run: Path, collection: ShapeCollection, gamma: float | None, floor: float
+) -> dict[str, SphericalMap]:
+    """The maps of all predicted shapes at one γ; None: the predictions as they are."""
+    refine = NoRefinement() if gamma is None else CertifiedRefinement(pull=gamma, floor=floor)
+    found = {}
+    for id in collection.ids():
+        path = run / "predictions" / f"{id}.npz"
+        if path.is_file():
+            arrays = load_npz(path)
+            start = arrays["predicted"]
+            mesh = normalize(collection.mesh(id))
+            found[id] = refine(mesh, start, start, arrays.get("reliability"))
+    return found
+
+
+def errors(found: dict[str, SphericalMap], collection: ShapeCollection) -> Iterator[float]:
+    """Error of every pair with dense ground truth, both directions."""
+    for first, second in combinations(found, 2):
+        truths = collection.ground_truth(first), collection.ground_truth(second)
+        if truths[0] is None or truths[1] is None:
+            continue
+        rows, others = common_points(*truths)
+        if len(rows):
+            a, b = found[first], found[second]
+            at_a, at_b = truths[0].take(rows).at, truths[1].take(others).at
+            turn = np.eye(3)
+            there = correspondence_error(a, b, at_a, at_b, turn).mean()
+            yield (there + correspondence_error(b, a, at_b, at_a, turn).mean()) / 2
+
+
+def line(run: Path, collection: ShapeCollection, gamma: float | None, floor: float) -> dict:
+    """One line of the table."""
+    found = maps(run, collection, gamma, floor)
+    distortions = [map.distortion() for map in found.values()]
+    rungs = [map.diagnostics["rung"] for map in found.values()]
+    return {
+        "gamma": "prediction" if gamma is None else gamma,
+        "shapes": len(found),
+        "error": float(np.mean(list(errors(found, collection)))),
+        "sigma_mean": float(np.mean([d.mean for d in distortions])),
+        "sigma_max": float(np.max([d.max for d in distortions])),
+        "bad_faces": sum(int(map.bad_faces().sum()) for map in found.values()),
+        "not_bijective": sum(not map.certify() for map in found.values()),
+        **{f"rung_{name}": rungs.count(name) for name in ("prediction", "spread", "untangled")},
+        "rung_hierarchical": rungs.count("hierarchical"),
+        "seconds": float(np.mean([map.diagnostics["seconds"] for map in found.values()])),
+    }
+
+
+def draw(lines: list[dict], path: Path, title: str) -> None:
+    """Mean σ against error, one point for every γ."""
+    drawing = figure(6, 4)
+    panel = drawing.subplots()
+    refined = [row for row in lines if row["gamma"] != "prediction"]
+    panel.plot([r["error"] for r in refined], [r["sigma_mean"] for r in refined], "o-")
+    for row in refined:
+        panel.annotate(
+            f"γ = {row['gamma']:g}", (row["error"], row["sigma_mean"]), (6, 4),
+            textcoords="offset points",
+        )  # fmt: skip
+    raw = next(row["error"] for row in lines if row["gamma"] == "prediction")
+    panel.axvline(raw, color="grey", linestyle=":", label="prediction, folds and all")
+    panel.set(xlabel="error / √area, no rotation", ylabel="mean σ", title=title)
+    panel.legend()
+    save_figure(drawing, path)
+
+
+def write(lines: list[dict], path: Path) -> None:
+    """The table, whole or not at all."""
+    with atomic_path(path) as temporary, open(temporary, "w", newline="") as file:
+        table = csv.DictWriter(file, list(lines[0]))
+        table.writeheader()
+        table.writerows(lines)
+
+
+def main() -> None:
+    """Read the command line, write the table after every γ, and the picture."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("run", type=Path, help="folder of a finished parameterize stage")
+    parser.add_argument("collection", type=Path, help="folder of its meshes")
+    parser.add_argument("--out", type=Path, required=True, help="path without suffix")
+    parser.add_argument("--floor", type=float, default=FLOOR, help="as recipe.refine.floor")
+    words = parser.parse_args()
+    collection = ShapeCollection.from_folder(words.collection)
+    lines = []
+    for gamma in (None, *GAMMAS):
+        lines.append(line(words.run, collection, gamma, words.floor))
+        print(lines[-1], flush=True)  # noqa: T201
+        write(lines, words.out.with_suffix(".csv"))
+    draw(lines, words.out.with_suffix(".png"), collection.name)
+
+
+if __name__ == "__main__":
+    main()
