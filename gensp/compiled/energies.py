@@ -24,7 +24,7 @@ ENERGIES = {
 
 _INVERSE_STRETCH = 1e-4
 _EXPONENT, _CONFORMAL = 5.0, 0.5
-_ROUND, _TAIL = 0.2, 0.025
+_ROUND, _TAIL = 0.2, 0.02
 
 
 @njit(cache=True)

@@ -1,11 +1,16 @@
 import numpy as np
 import pytest
 
+from gensp.compiled.energies import ENERGIES, energy_slopes, energy_value
 from gensp.geometry.assembly import HessianPattern
 from gensp.geometry.distortion import singular_values
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.sphere import icosphere, sample_sphere, tangent_frame, unit
-from gensp.geometry.spherical_energy import SphericalEnergy, project_positive
+from gensp.geometry.spherical_energy import (
+    SphericalEnergy,
+    project_positive,
+    triangle_weights,
+)
 
 
 @pytest.fixture
@@ -19,9 +24,9 @@ def start():
     return unit(ball + 0.15 * np.sin(3 * ball[:, [1, 2, 0]]))
 
 
-@pytest.fixture
-def energy(shape, rng):
-    return SphericalEnergy(shape, rng.uniform(0.5, 2, len(shape.faces)))
+@pytest.fixture(params=sorted(ENERGIES))
+def energy(shape, rng, request):
+    return SphericalEnergy(shape, rng.uniform(0.5, 2, len(shape.faces)), request.param)
 
 
 def _along(u, x, step):
@@ -140,3 +145,36 @@ def test_determinant_keeps_its_sign_on_tiny_triangles():
     flat = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), faces)
     assert np.isfinite(SphericalEnergy(flat).energy(u))
     assert SphericalEnergy(flat).energy(u[[0, 2, 1]]) == np.inf
+
+
+@pytest.mark.parametrize("name", sorted(ENERGIES))
+def test_slopes_of_an_energy_are_its_derivatives(name, rng):
+    kind, h = ENERGIES[name], 1e-5
+
+    def difference(of, along, d, j):
+        a, b = h * along[0], h * along[1]
+        return (np.array(of(kind, d + a, j + b)) - np.array(of(kind, d - a, j - b))) / (2 * h)
+
+    for d, j in zip(rng.uniform(2.5, 9, 20), rng.uniform(0.3, 1.2, 20), strict=True):
+        fd, fj, fdd, fdj, fjj = energy_slopes(kind, d, j)
+        for along, first, second in (((1, 0), fd, (fdd, fdj)), ((0, 1), fj, (fdj, fjj))):
+            assert difference(energy_value, along, d, j) == pytest.approx(first, rel=1e-5)
+            slopes = difference(energy_slopes, along, d, j)[:2]
+            np.testing.assert_allclose(slopes, second, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", sorted(ENERGIES))
+def test_folded_triangles_cost_without_bound(name):
+    kind = ENERGIES[name]
+    assert energy_value(kind, 4.0, 0.0) == np.inf
+    assert energy_value(kind, 4.0, -0.1) == np.inf
+    assert energy_value(kind, 4.0, 1e-3) > 100 * energy_value(kind, 2.0, 1.0)
+
+
+def test_weights_lift_small_triangles_to_the_floor(shape):
+    weights = triangle_weights(shape, 0.5)
+    weighted = weights * shape.face_areas
+    assert weighted.min() == pytest.approx(0.5 * shape.face_areas.mean())
+    large = shape.face_areas >= 0.5 * shape.face_areas.mean()
+    np.testing.assert_array_equal(weights[large], 1)
+    assert np.ptp(triangle_weights(shape, 1e6) * shape.face_areas) < 1e-6 * weighted.max() * 1e6
