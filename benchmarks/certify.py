@@ -1,0 +1,82 @@
+"""Certified maps of all meshes of some folders on one core: how many, how distorted, how fast.
+
+OMP_NUM_THREADS=1 python benchmarks/certify.py data/heads/meshes data/quadrupeds/meshes --out table.csv
+"""
+
+import argparse
+import csv
+import time
+from pathlib import Path
+
+import numpy as np
+
+from gensp.errors import BadMesh, GenSPError
+from gensp.files import atomic_path
+from gensp.geometry.mesh import FORMATS, load_mesh, require_genus_zero
+from gensp.geometry.sphere import icosphere
+from gensp.methods.table import DEFAULT, per_shape
+
+Row = dict[str, object]
+
+
+def line(path: Path, method: str) -> Row:
+    """One mesh: its map's certificate, distortion and processor seconds, or why there is none."""
+    row: Row = {"mesh": f"{path.parent.parent.name}/{path.stem}"}
+    try:
+        mesh = load_mesh(path)
+        require_genus_zero(mesh)
+    except BadMesh as error:
+        return row | {"unusable": str(error)}
+    start = time.process_time()
+    try:
+        map = per_shape(method)(mesh)
+    except GenSPError as error:
+        return row | {"vertices": len(mesh.vertices), "failed": str(error)}
+    distortion = map.distortion()
+    return row | {
+        "vertices": len(mesh.vertices),
+        "seconds": round(time.process_time() - start, 2),
+        "bijective": map.certify().bijective,
+        "sigma_mean": round(distortion.mean, 4),
+        "sigma_max": round(distortion.max, 3),
+    }
+
+
+def summary(rows: list[Row]) -> str:
+    """What the table says, in one line."""
+    mapped = [row for row in rows if "bijective" in row]
+    growth = np.polyfit(*np.log([[r["vertices"], r["seconds"]] for r in mapped]).T, 1)[0]
+    bijective = sum(bool(r["bijective"]) for r in mapped)
+    failed, unusable = (sum(key in r for r in rows) for key in ("failed", "unusable"))
+    return (
+        f"{bijective} of {len(mapped)} maps bijective; {failed} failed; {unusable} unusable; "
+        f"seconds grow as n^{growth:.2f}"
+    )
+
+
+def main() -> None:
+    """Read the command line, print a line per mesh, write the table."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("folders", type=Path, nargs="+", help="folders of meshes")
+    parser.add_argument("--method", default=DEFAULT)
+    parser.add_argument("--out", type=Path, help="csv")
+    words = parser.parse_args()
+    per_shape(words.method)(icosphere(2))  # compiles
+    paths = [
+        p for folder in words.folders for p in sorted(folder.iterdir()) if p.suffix in FORMATS
+    ]
+    rows = []
+    for path in paths:
+        rows.append(line(path, words.method))
+        print(rows[-1], flush=True)  # noqa: T201
+    print(summary(rows))  # noqa: T201
+    if words.out:
+        names = ["mesh", "vertices", "seconds", "bijective", "sigma_mean", "sigma_max"]
+        with atomic_path(words.out) as temporary, open(temporary, "w", newline="") as file:
+            table = csv.DictWriter(file, [*names, "failed", "unusable"], restval="")
+            table.writeheader()
+            table.writerows(rows)
+
+
+if __name__ == "__main__":
+    main()
