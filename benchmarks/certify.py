@@ -1,6 +1,6 @@
 """Certified maps of all meshes of some folders on one core: how many, how distorted, how fast.
 
-OMP_NUM_THREADS=1 python benchmarks/certify.py data/heads/meshes data/quadrupeds/meshes --out table.csv
+OMP_NUM_THREADS=1 python benchmarks/certify.py data/heads/meshes data/quadrupeds/meshes
 """
 
 import argparse
