@@ -19,7 +19,10 @@ from gensp.data.ground_truth import common_points
 from gensp.data.shapes import ShapeCollection
 from gensp.files import atomic_path, load_npz
 from gensp.geometry.consistency import correspondence_error
-from gensp.geometry.mesh import normalize
+from gensp.geometry.distance import closest_point
+from gensp.geometry.mesh import Mesh, normalize
+from gensp.geometry.refine import reliability
+from gensp.geometry.sphere import icosphere_of
 from gensp.geometry.spherical_map import SphericalMap
 from gensp.methods.refinement import CertifiedRefinement, NoRefinement
 from gensp.pictures.curves import figure, save_figure
@@ -37,10 +40,11 @@ def maps(
     for id in collection.ids():
         path = run / "predictions" / f"{id}.npz"
         if path.is_file():
-            arrays = load_npz(path)
-            start = arrays["predicted"]
-            mesh = normalize(collection.mesh(id))
-            found[id] = refine(mesh, start, start, arrays.get("reliability"))
+            arrays, mesh = load_npz(path), normalize(collection.mesh(id))
+            start, fitted = arrays["predicted"], arrays["fitted"].astype(np.float64)
+            surface = Mesh(fitted, icosphere_of(len(fitted)).faces)
+            away = closest_point(mesh.vertices, surface).distance
+            found[id] = refine(mesh, start, start, reliability(start, mesh.faces, away))
     return found
 
 
