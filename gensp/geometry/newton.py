@@ -23,7 +23,7 @@ _MAX_HALVINGS = 50
 
 @runtime_checkable
 class MapEnergy(Protocol):
-    """An energy of maps to the sphere that is a sum over triangles and infinite where one folds."""
+    """Energy of maps to the sphere: a sum over triangles, infinite where one folds."""
 
     def energy(self, u: Float[np.ndarray, "n 3"]) -> float:
         """Its value."""

@@ -9,7 +9,9 @@ Of every spherical triangle (Surface Maps via Adaptive Triangulations, §5, and 
 with α the corner angles between great circles and α₀, A the angles and the area on the surface.
 All of it is a function f of the squared chords e_k = |u_{k+2} − u_{k+1}|² and the determinant D:
 cos ℓ_k = 1 − e_k/2, and α_k is the argument of c_k + i D with
-c_k = u_{k+1}·u_{k+2} − (u_k·u_{k+1})(u_k·u_{k+2}) = (e_{k+1} + e_{k+2} − e_k)/2 − e_{k+1} e_{k+2}/4.
+
+    c_k = u_{k+1}·u_{k+2} − (u_k·u_{k+1})(u_k·u_{k+2})
+        = (e_{k+1} + e_{k+2} − e_k)/2 − e_{k+1} e_{k+2}/4.
 """
 
 from dataclasses import dataclass
@@ -93,7 +95,7 @@ class SmatEnergy:
     def hessians(
         self, u: Float[np.ndarray, "n 3"], frames: Float[np.ndarray, "n 3 2"]
     ) -> Float[np.ndarray, "6 6 m"]:
-        """Riemannian Hessian of every triangle's term, in the tangent coordinates of its corners."""
+        """Riemannian Hessian of every triangle's term, in the tangent frames of its corners."""
         terms = self._terms(u)
         slopes, bends = self._slopes(terms)
         gradients = _invariant_gradients(terms)

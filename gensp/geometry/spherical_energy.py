@@ -19,7 +19,6 @@ from jaxtyping import Float
 from gensp.compiled.energies import ENERGIES, energy_slopes_of, energy_values_of
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.spherical_triangles import (
-    cross,
     curvature_blocks,
     determinant_gradients,
     determinants,
@@ -112,9 +111,7 @@ class SphericalEnergy:
         blocks = self._gradient_products(terms, slopes, tangents)
         pulled = 0.5 * slopes.stretch * self.cotangents
         gradients = self._corner_gradients(terms, slopes)
-        blocks += curvature_blocks(
-            terms.corners, tangents, pulled, slopes.determinant, gradients
-        )
+        blocks += curvature_blocks(terms.corners, tangents, pulled, slopes.determinant, gradients)
         return blocks
 
     def _terms(self, u: Float[np.ndarray, "n 3"]) -> _Terms:
