@@ -130,14 +130,19 @@ def _candidates(
 
 
 @njit(cache=True)
+def _renew(v, heap, x, q, origin, twin, leaving, around, version, independent):
+    """Replace what the heap says of v."""
+    version[v] += 1
+    cost, h = _best(v, x, q, origin, twin, leaving, around, independent)
+    if h >= 0:
+        heapq.heappush(heap, (cost, v, h, version[v]))
+
+
+@njit(cache=True)
 def collapse_all(
-    x: np.ndarray,
-    q: np.ndarray,
-    origin: np.ndarray,
-    twin: np.ndarray,
-    leaving: np.ndarray,
+    x: np.ndarray, q: np.ndarray, origin: np.ndarray, twin: np.ndarray, leaving: np.ndarray,
     independent: bool,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Collapse to a tetrahedron, cheapest first; gives the collapsed half-edges, and their sets.
 
     `q` (n, 10) are the quadrics of the vertices; those of collapsed vertices are added on.
@@ -145,8 +150,7 @@ def collapse_all(
     ends a set; the cost is then quadric error plus one over the square of the smallest area.
     """
     n = len(x)
-    around = np.empty(n, dtype=np.int64)
-    other = np.empty(n, dtype=np.int64)
+    around, other = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     version = np.zeros(n, dtype=np.int64)
     order = np.empty(max(n - BASE, 0), dtype=np.int64)
     sets = np.zeros(len(order), dtype=np.int64)
@@ -165,10 +169,7 @@ def collapse_all(
         size = ring(h, origin, twin, around)
         if not _linked(around, size, h, origin, twin):
             # The tip has got new neighbours meanwhile.
-            version[v] += 1
-            cost, h = _best(v, x, q, origin, twin, leaving, other, independent)
-            if h >= 0:
-                heapq.heappush(heap, (cost, v, h, version[v]))
+            _renew(v, heap, x, q, origin, twin, leaving, other, version, independent)
             continue
         collapse(h, origin, twin, leaving)
         for k in range(10):
@@ -178,10 +179,8 @@ def collapse_all(
         done += 1
         for k in range(size):
             near = around[k]
-            version[near] += 1
             if independent:
-                continue
-            cost, h = _best(near, x, q, origin, twin, leaving, other, independent)
-            if h >= 0:
-                heapq.heappush(heap, (cost, near, h, version[near]))
+                version[near] += 1
+            else:
+                _renew(near, heap, x, q, origin, twin, leaving, other, version, independent)
     return order[:done], sets[:done]
