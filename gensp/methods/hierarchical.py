@@ -151,7 +151,10 @@ def dirichlet(
 
 
 def stretch() -> Hierarchical:
-    """L² stretch, vertex by vertex, on a slowly growing map (Praun & Hoppe 2003)."""
+    """L² stretch, vertex by vertex, on a slowly growing map (Praun & Hoppe 2003).
+
+    Ours are the order of the collapses and Newton's method where they search along lines.
+    """
     return Hierarchical(
         name="stretch",
         schedule=Schedule(energy="stretch", floor=0.0, growth=1.2, passes=3, polish=(), last=30),
@@ -159,10 +162,13 @@ def stretch() -> Hierarchical:
 
 
 def ahsp() -> Hierarchical:
-    """Exponential isometric energy over all triangles alike (Hu, Fu & Liu 2017)."""
+    """Exponential isometric energy over all triangles alike (Hu, Fu & Liu 2017).
+
+    The map grows slowly: the energy is so steep that a vertex which is left behind stays behind.
+    """
     return Hierarchical(
         name="ahsp",
-        schedule=Schedule(energy="amips", floor=1e6, growth=1.2, passes=3, polish=(), last=30),
+        schedule=Schedule(energy="amips", floor=1e6, growth=1.1, passes=10, polish=(), last=100),
     )
 
 

@@ -5,13 +5,13 @@ import pytest
 
 from gensp.compiled.energies import ENERGIES, energy_slopes, energy_value
 
-PLACES = [(5.0, 1.5), (80.0, 0.9), (3.0, 0.05), (2000.0, 0.4)]
+PLACES = [(80.0, 0.9), (3.0, 0.05), (2000.0, 0.4)]
 
 
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("energy", ENERGIES)
-def test_slopes_against_finite_differences(energy, place):
-    """Also far beyond where exp of the distortion has no number."""
+def test_slopes_far_from_isometry_against_finite_differences(energy, place):
+    """Also beyond where exp of the distortion has no number."""
     kind, (d, j) = ENERGIES[energy], place
     h, k = 1e-6 * d, 1e-6 * j
     fd, fj, fdd, fdj, fjj = energy_slopes(kind, d, j)
