@@ -13,7 +13,8 @@ DIRICHLET, STRETCH, AMIPS, SIGMA = range(4)
 ENERGIES = {
     # ‖J‖² + ‖J⁻¹‖² (Smith & Schaefer 2015).
     "dirichlet": DIRICHLET,
-    # ½‖J⁻¹‖² + 10⁻⁴·½‖J‖²: L² stretch from the sphere to the surface (Praun & Hoppe 2003).
+    # ½‖J⁻¹‖² + 10⁻⁴ (σ₁⁶ + σ₂⁶): L² stretch from the sphere to the surface, with the sixth power
+    # of its inverse against large triangles (Praun & Hoppe 2003).
     "stretch": STRETCH,
     # exp(s δ), δ = α·½(σ₁/σ₂ + σ₂/σ₁) + (1 − α)·½(j + 1/j) (Fu, Liu & Guo 2015; Hu et al. 2017).
     "amips": AMIPS,
@@ -22,9 +23,18 @@ ENERGIES = {
     "sigma": SIGMA,
 }
 
-_INVERSE_STRETCH = 1e-4
+_INVERSE_STRETCH = 1e-4  # of σ₁⁶ + σ₂⁶ = D (D² − 3 j²)
 _EXPONENT, _CONFORMAL = 5.0, 0.5
+_STEEP = 100.0  # exponents above go on as a parabola: long before exp has no number any more
 _ROUND, _TAIL = 0.2, 0.02
+
+
+@njit(cache=True)
+def _exponential(x: float) -> tuple[float, float, float]:
+    """exp(x) and two derivatives, continued by its Taylor parabola from `_STEEP` on."""
+    power, beyond = np.exp(min(x, _STEEP)), max(x - _STEEP, 0.0)
+    slope = power * (1 + beyond)
+    return slope + 0.5 * power * beyond * beyond, slope, power
 
 
 @njit(cache=True)
@@ -33,10 +43,10 @@ def energy_value(energy: int, d: float, j: float) -> float:
     if not j > 0:
         return np.inf
     if energy == STRETCH:
-        return 0.5 * d / (j * j) + 0.5 * _INVERSE_STRETCH * d
+        return 0.5 * d / (j * j) + _INVERSE_STRETCH * d * (d * d - 3 * j * j)
     if energy == AMIPS:
         delta = 0.5 * _CONFORMAL * d / j + 0.5 * (1 - _CONFORMAL) * (j + 1 / j)
-        return np.exp(_EXPONENT * delta) if _EXPONENT * delta < 700 else np.inf
+        return _exponential(_EXPONENT * delta)[0]
     value = d * (1 + 1 / (j * j))
     if energy == DIRICHLET:
         return value
@@ -50,18 +60,26 @@ def energy_slopes(energy: int, d: float, j: float) -> tuple[float, float, float,
     i2 = 1 / (j * j)
     i3, i4 = i2 / j, i2 * i2
     if energy == STRETCH:
-        return 0.5 * i2 + 0.5 * _INVERSE_STRETCH, -d * i3, 0.0, -i3, 3 * d * i4
+        e = _INVERSE_STRETCH
+        return (
+            0.5 * i2 + 3 * e * (d * d - j * j),
+            -d * i3 - 6 * e * d * j,
+            6 * e * d,
+            -i3 - 6 * e * j,
+            3 * d * i4 - 6 * e * d,
+        )
     if energy == AMIPS:
         s, a, b = _EXPONENT, 0.5 * _CONFORMAL, 0.5 * (1 - _CONFORMAL)
-        value = energy_value(AMIPS, d, j)
+        delta = a * d / j + b * (j + 1 / j)
+        _, slope, bend = _exponential(s * delta)
         u, v = s * a / j, s * (-a * d * i2 + b * (1 - i2))
         mixed, curved = -s * a * i2, s * (2 * a * d * i3 + 2 * b * i3)
         return (
-            value * u,
-            value * v,
-            value * u * u,
-            value * (u * v + mixed),
-            value * (v * v + curved),
+            slope * u,
+            slope * v,
+            bend * u * u,
+            bend * u * v + slope * mixed,
+            bend * v * v + slope * curved,
         )
     fd, fj, fdj, fjj = 1 + i2, -2 * d * i3, -2 * i3, 6 * d * i4
     if energy == DIRICHLET:

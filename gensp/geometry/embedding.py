@@ -8,6 +8,7 @@ whenever the map has grown enough it is relaxed as a whole.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -17,7 +18,7 @@ from gensp.compiled.energies import ENERGIES
 from gensp.compiled.growth import insert, sweep
 from gensp.errors import NotEmbeddable
 from gensp.geometry.alignment import best_rotation
-from gensp.geometry.decimation import Collapses, decimate
+from gensp.geometry.decimation import Collapses, Priority, decimate
 from gensp.geometry.mesh import SPHERE_AREA, Mesh
 from gensp.geometry.predicates import bad_faces, spherical_orientation
 from gensp.geometry.sphere import unit
@@ -49,18 +50,22 @@ class Schedule:
     passes
         Passes over all vertices at each such time.
     polish
-        Sizes (in vertices) at which `embed`'s polish is called on the coarse map.
+        Sizes (in vertices) at which `embed`'s polish is called on the coarse map; `"sets"`: after
+        every independent set of the collapses, however late.
     last, last_energy
         Passes over the whole map at the end, and their energy if it is another one.
+    priority
+        Order of the collapses, see `decimation`.
     """
 
     energy: str = "dirichlet"
     floor: float = 0.3
     growth: float = 1.4
     passes: int = 3
-    polish: tuple[int, ...] = (400, 3000, 20_000)
+    polish: tuple[int, ...] | Literal["sets"] = (400, 3000, 20_000)
     last: int = 3
     last_energy: str | None = None
+    priority: Priority = "quadric"
 
 
 def embed(
@@ -90,15 +95,22 @@ def embed(
     schedule = schedule or Schedule()
     goals = np.zeros_like(mesh.vertices) if target is None else unit(target)
     pulls = np.zeros(len(mesh.vertices)) if target is None else np.broadcast_to(pull, len(goals))
-    growing = _Growing(mesh, decimate(mesh), schedule, goals, np.ascontiguousarray(pulls, float))
+    collapses = decimate(mesh, schedule.priority)
+    growing = _Growing(mesh, collapses, schedule, goals, np.ascontiguousarray(pulls, float))
     whole = len(mesh.vertices)
-    sizes = [size for size in schedule.polish if BASE < size < _WORTH * whole] if polish else []
-    for size in [*sizes, whole]:
+    for size in [*(_sizes(schedule, collapses, whole) if polish else []), whole]:
         while growing.count < size:
             growing.grow(size)
         if polish is not None and size < whole:
             growing.improve(polish)
     return growing.finished()
+
+
+def _sizes(schedule: Schedule, collapses: Collapses, whole: int) -> list[int]:
+    """Numbers of vertices at which a coarse map is polished."""
+    if schedule.polish == "sets":
+        return [size for size in collapses.sizes if BASE < size < whole]
+    return [size for size in schedule.polish if BASE < size < _WORTH * whole]
 
 
 class _Growing:

@@ -1,6 +1,7 @@
 """Projected Newton on the sphere: the least distorted map near a start, without folds."""
 
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import scipy.sparse
@@ -18,6 +19,25 @@ _RIDGE = 1e-6  # times the vertex areas: holds the three rotations where nothing
 _SUFFICIENT = 1e-4  # Armijo: part of the predicted decrease that a step must reach
 _SHRINK = 0.5
 _MAX_HALVINGS = 50
+
+
+@runtime_checkable
+class MapEnergy(Protocol):
+    """Energy of maps to the sphere: a sum over triangles, infinite where one folds."""
+
+    def energy(self, u: Float[np.ndarray, "n 3"]) -> float:
+        """Its value."""
+        ...
+
+    def gradient(self, u: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Its derivative by the positions as free vectors of space."""
+        ...
+
+    def hessians(
+        self, u: Float[np.ndarray, "n 3"], frames: Float[np.ndarray, "n 3 2"]
+    ) -> Float[np.ndarray, "6 6 m"]:
+        """Riemannian Hessian of every triangle's term, in the tangent frames of its corners."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -66,6 +86,40 @@ def refine_map(
     NotEmbeddable
         The start has bad faces.
     """
+    return minimise_map(
+        mesh,
+        start,
+        SphericalEnergy(mesh, weights, energy),
+        target=target,
+        pull=pull,
+        max_iterations=max_iterations,
+        tolerance=tolerance,
+    )
+
+
+def minimise_map(
+    mesh: Mesh,
+    start: Float[np.ndarray, "n 3"],
+    energy: MapEnergy,
+    *,
+    target: Float[np.ndarray, "n 3"] | None = None,
+    pull: float | Float[np.ndarray, " n"] = 0.0,
+    max_iterations: int = 50,
+    tolerance: float = 1e-4,
+    decrement: float = 0.0,
+) -> Refined:
+    """As `refine_map`, of any energy E of maps of the mesh.
+
+    Parameters
+    ----------
+    decrement
+        Absolute decrease of the energy, as the quadratic model promises it, to stop at.
+
+    Raises
+    ------
+    NotEmbeddable
+        The start has bad faces.
+    """
     u = unit(start)
     bad = int(bad_faces(u, mesh.faces).sum())
     if bad:
@@ -75,10 +129,8 @@ def refine_map(
         )
     # The antipodal map turns every orientation round: minimise there, and turn back.
     side = 1.0 if spherical_orientation(u, mesh.faces)[0] > 0 else -1.0
-    problem = _PulledEnergy(
-        mesh, side * (u if target is None else unit(target)), pull, weights, energy
-    )
-    refined = _minimise(problem, side * u, max_iterations, tolerance)
+    problem = _PulledEnergy(mesh, energy, side * (u if target is None else unit(target)), pull)
+    refined = _minimise(problem, side * u, max_iterations, (tolerance, decrement))
     return Refined(side * refined.sphere, refined.energy, refined.iterations, refined.converged)
 
 
@@ -88,13 +140,12 @@ class _PulledEnergy:
     def __init__(
         self,
         mesh: Mesh,
+        distortion: MapEnergy,
         target: Float[np.ndarray, "n 3"],
         pull: float | Float[np.ndarray, " n"],
-        weights: Float[np.ndarray, " m"] | None,
-        energy: str,
     ) -> None:
         self.mesh, self.target = mesh, target
-        self.distortion = SphericalEnergy(mesh, weights, energy)
+        self.distortion = distortion
         count = len(mesh.vertices)
         areas = np.bincount(mesh.faces.reshape(-1), np.repeat(mesh.face_areas / 3, 3), count)
         self.spring = areas * pull
@@ -122,8 +173,12 @@ class _PulledEnergy:
 
 
 def _minimise(
-    problem: _PulledEnergy, u: Float[np.ndarray, "n 3"], max_iterations: int, tolerance: float
+    problem: _PulledEnergy,
+    u: Float[np.ndarray, "n 3"],
+    max_iterations: int,
+    tolerances: tuple[float, float],
 ) -> Refined:
+    relative, absolute = tolerances
     value, solver = problem.value(u), None
     for iteration in range(max_iterations):
         frames = tangent_frame(u)
@@ -142,7 +197,7 @@ def _minimise(
         u, value = found
         # Half the slope is the decrease that the quadratic model promises: unlike the decrease
         # itself it is not small merely because a fold was near.
-        if -0.5 * slope <= tolerance * value:
+        if -0.5 * slope <= max(relative * value, absolute):
             return Refined(u, value, iteration + 1, True)
     return Refined(u, value, max_iterations, False)
 

@@ -12,16 +12,23 @@ follows Teran et al. 2005 (Robust quasistatic finite elements).
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-import scipy.sparse
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from gensp.compiled.energies import ENERGIES, energy_slopes_of, energy_values_of
 from gensp.geometry.mesh import Mesh
-
-_PAIRS = ((0, 1, 2), (1, 2, 0), (2, 0, 1))  # corners (u, v) of a pair and the corner opposite
+from gensp.geometry.spherical_triangles import (
+    curvature_blocks,
+    determinant_gradients,
+    determinants,
+    dot,
+    edges_of,
+    gathered,
+    gathered_frames,
+    summed_at_vertices,
+    tangential,
+)
 
 
 @dataclass(frozen=True)
@@ -69,8 +76,8 @@ class SphericalEnergy:
         self.count = len(mesh.vertices)
         self.twice_areas = 2 * mesh.face_areas
         self.weights = np.ones(len(mesh.faces)) if weights is None else weights
-        edges = _edges(_gathered(mesh.vertices, mesh.faces))
-        dots = [-_dot(edges[(k + 1) % 3], edges[(k + 2) % 3]) for k in range(3)]
+        edges = edges_of(gathered(mesh.vertices, mesh.faces))
+        dots = [-dot(edges[(k + 1) % 3], edges[(k + 2) % 3]) for k in range(3)]
         self.cotangents = np.stack(dots) / self.twice_areas
 
     def energy(self, u: Float[np.ndarray, "n 3"]) -> float:
@@ -88,7 +95,7 @@ class SphericalEnergy:
         """Derivative of E by the positions u as free vectors of space."""
         terms = self._terms(u)
         corners = self._corner_gradients(terms, self._slopes(terms))
-        return self._corner_sum @ corners.transpose(0, 2, 1).reshape(-1, 3)
+        return summed_at_vertices(corners, self.faces, self.count)
 
     def hessians(
         self, u: Float[np.ndarray, "n 3"], frames: Float[np.ndarray, "n 3 2"]
@@ -100,25 +107,18 @@ class SphericalEnergy:
         """
         terms = self._terms(u)
         slopes = self._slopes(terms)
-        tangents = np.stack([_gathered(frames[:, :, k], self.faces) for k in (0, 1)], axis=1)
+        tangents = gathered_frames(frames, self.faces)
         blocks = self._gradient_products(terms, slopes, tangents)
-        for pair in _PAIRS:
-            first, second = (slice(2 * corner, 2 * corner + 2) for corner in pair[:2])
-            block = self._pair_block(terms, slopes, tangents, *pair)
-            blocks[first, second] += block
-            blocks[second, first] += block.swapaxes(0, 1)
-        normal = _dot(self._corner_gradients(terms, slopes), terms.corners)
-        for k in range(3):
-            stiff = slopes.stretch * (self.cotangents[(k + 1) % 3] + self.cotangents[(k + 2) % 3])
-            blocks[[2 * k, 2 * k + 1], [2 * k, 2 * k + 1]] += stiff - normal[k]
+        pulled = 0.5 * slopes.stretch * self.cotangents
+        gradients = self._corner_gradients(terms, slopes)
+        blocks += curvature_blocks(terms.corners, tangents, pulled, slopes.determinant, gradients)
         return blocks
 
     def _terms(self, u: Float[np.ndarray, "n 3"]) -> _Terms:
-        corners = _gathered(u, self.faces)
-        edges = _edges(corners)
-        stretch = 0.5 * np.sum(self.cotangents * _dot(edges, edges), axis=0)
-        # Differences first: the plain triple product loses the sign of very small triangles.
-        ratio = _dot(corners[0], _cross(edges[1], edges[2])) / self.twice_areas
+        corners = gathered(u, self.faces)
+        edges = edges_of(corners)
+        stretch = 0.5 * np.sum(self.cotangents * dot(edges, edges), axis=0)
+        ratio = determinants(corners, edges) / self.twice_areas
         return _Terms(corners, edges, stretch, ratio)
 
     def _slopes(self, terms: _Terms) -> _Slopes:
@@ -138,69 +138,19 @@ class SphericalEnergy:
 
     def _corner_gradients(self, terms: _Terms, slopes: _Slopes) -> Float[np.ndarray, "3 3 m"]:
         moved = slopes.stretch * self._stretch_gradients(terms)
-        return moved + slopes.determinant * _determinant_gradients(terms)
+        return moved + slopes.determinant * determinant_gradients(terms.corners)
 
     def _gradient_products(
         self, terms: _Terms, slopes: _Slopes, tangents: Float[np.ndarray, "3 2 3 m"]
     ) -> Float[np.ndarray, "6 6 m"]:
         """The rank-two part: products of the gradients of d and of the determinant."""
-        stretch = _tangential(tangents, self._stretch_gradients(terms))
-        determinant = _tangential(tangents, _determinant_gradients(terms))
+        stretch = tangential(tangents, self._stretch_gradients(terms))
+        determinant = tangential(tangents, determinant_gradients(terms.corners))
         half = slopes.mixed * stretch + 0.5 * slopes.determinant_twice * determinant
         product = half[:, None] * determinant[None]
         if slopes.stretch_twice.any():
             product += 0.5 * (slopes.stretch_twice * stretch)[:, None] * stretch[None]
         return product + product.swapaxes(0, 1)
-
-    def _pair_block(
-        self,
-        terms: _Terms,
-        slopes: _Slopes,
-        tangents: Float[np.ndarray, "3 2 3 m"],
-        first: int,
-        second: int,
-        third: int,
-    ) -> Float[np.ndarray, "2 2 m"]:
-        """Mixed second derivatives of two corners: cotangent term plus det(t_u, t_v, u_w)."""
-        linear = slopes.stretch * self.cotangents[third]
-        across = _cross(tangents[second], terms.corners[third][None])
-        moved = slopes.determinant * across - linear * tangents[second]
-        return _dot(tangents[first][:, None], moved[None])
-
-    @cached_property
-    def _corner_sum(self) -> scipy.sparse.csr_matrix:
-        corners = self.faces.T.reshape(-1)
-        entries = (np.ones(len(corners)), (corners, np.arange(len(corners))))
-        return scipy.sparse.csr_matrix(entries, shape=(self.count, len(corners)))
-
-
-def _gathered(
-    x: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
-) -> Float[np.ndarray, "3 3 m"]:
-    return np.ascontiguousarray(x.T[:, faces.T].swapaxes(0, 1))
-
-
-def _edges(corners: Float[np.ndarray, "3 3 m"]) -> Float[np.ndarray, "3 3 m"]:
-    return corners[[2, 0, 1]] - corners[[1, 2, 0]]
-
-
-def _dot(a: Float[np.ndarray, "*k 3 m"], b: Float[np.ndarray, "*l 3 m"]) -> np.ndarray:
-    return np.sum(a * b, axis=-2)
-
-
-def _cross(a: Float[np.ndarray, "*k 3 m"], b: Float[np.ndarray, "*l 3 m"]) -> np.ndarray:
-    (ax, ay, az), (bx, by, bz) = np.moveaxis(a, -2, 0), np.moveaxis(b, -2, 0)
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-2)
-
-
-def _determinant_gradients(terms: _Terms) -> Float[np.ndarray, "3 3 m"]:
-    return _cross(terms.corners[[1, 2, 0]], terms.corners[[2, 0, 1]])
-
-
-def _tangential(
-    tangents: Float[np.ndarray, "3 2 3 m"], gradients: Float[np.ndarray, "3 3 m"]
-) -> Float[np.ndarray, "6 m"]:
-    return _dot(tangents, gradients[:, None]).reshape(6, -1)
 
 
 def project_positive(hessians: Float[np.ndarray, "6 6 m"]) -> Float[np.ndarray, "6 6 m"]:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from gensp.errors import Unsupported
 from gensp.methods import SphericalParameterization
 from gensp.methods.cmcf import CMCF
-from gensp.methods.hierarchical import ahsp, dirichlet, stretch
+from gensp.methods.hierarchical import ahsp, dirichlet, smat, stretch
 from gensp.methods.refinement import NewtonRefinement
 
 DEFAULT = "dirichlet"
@@ -19,6 +19,7 @@ PER_SHAPE: dict[str, Callable[[], SphericalParameterization]] = {
     "dirichlet": dirichlet,
     "stretch": stretch,
     "ahsp": ahsp,
+    "smat": smat,
     "cmcf": _flow,
 }
 

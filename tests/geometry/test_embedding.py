@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -51,6 +53,36 @@ def test_splits_undo_collapses(bumpy):
     np.testing.assert_array_equal(edges.origin, before.origin)
     np.testing.assert_array_equal(edges.twin, before.twin)
     np.testing.assert_array_equal(edges.origin[edges.leaving], np.arange(len(bumpy.vertices)))
+
+
+def test_sets_of_collapses_are_independent(bumpy):
+    """No neighbour of a vertex that has gone goes in the same set, and sets are large."""
+    mesh = normalize(bumpy)
+    found = decimate(mesh, "smat")
+    left = np.array([*found.sizes[::-1]])
+    assert left[-1] == 4
+    assert (np.diff(left) < 0).all()
+    bounds = [0, *(len(mesh.vertices) - left)]
+    for first, last in pairwise(bounds):
+        faces = _collapsed(mesh, found, first)
+        gone = found.halfedges.origin[found.order[first:last]]
+        sides = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+        assert not np.isin(sides, gone).all(axis=1).any()
+    assert left[0] < 0.85 * len(mesh.vertices)
+    other = decimate(mesh)
+    assert other.sizes == (4,)
+    assert not np.array_equal(other.order, found.order)
+
+
+def _collapsed(mesh, found, count):
+    """Faces after the first `count` collapses."""
+    edges = HalfEdges.of(mesh.faces, len(mesh.vertices))
+    for h in found.order[:count]:
+        collapse(h, edges.origin, edges.twin, edges.leaving)
+    alive = np.ones(len(mesh.faces), dtype=bool)
+    gone = found.order[:count]
+    alive[gone // 3] = alive[edges.twin[gone] // 3] = False
+    return edges.origin.reshape(-1, 3)[alive]
 
 
 def test_collapse_keeps_a_closed_triangulation():
@@ -157,6 +189,9 @@ def test_polish_is_handed_coarse_meshes_of_full_area(limbed):
 
     embed(limbed, schedule=Schedule(polish=(100, 1000)), polish=polish)
     assert seen == [100, 1000]
+    seen.clear()
+    embed(limbed, schedule=Schedule(polish="sets", priority="smat"), polish=polish)
+    assert tuple(seen) == decimate(limbed, "smat").sizes[1:]
 
 
 def test_normal_rotation_undoes_a_rotation(ellipsoid, rng):
