@@ -145,9 +145,8 @@ def collapse_all(
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Collapse to a tetrahedron, cheapest first; gives the collapsed half-edges, and their sets.
 
-    `q` (n, 10) are the quadrics of the vertices; those of collapsed vertices are added on.
-    `independent`: the neighbours of a collapsed vertex stay until no other collapse is left, which
-    ends a set; the cost is then quadric error plus one over the square of the smallest area.
+    `q` (n, 10) are the vertices' quadrics; those of collapsed ones are added on. `independent`:
+    the neighbours of a collapsed vertex stay until no other collapse is left, which ends a set.
     """
     n = len(x)
     around, other = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)

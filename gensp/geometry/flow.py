@@ -117,9 +117,8 @@ def cmcf(
 
     Notes
     -----
-    Limbs shrink to hairs before the sphere is reached and their triangles vanish; `sound` tells
-    from where. The flow is cut before the first step that cannot be computed, and, where it
-    stalls, at the step closest to the sphere. Nothing in it is ever not a number.
+    Limbs shrink to hairs and their triangles vanish; `sound` tells from where. The flow is cut
+    before the first step that cannot be computed, and, where it stalls, at the closest one.
 
     Raises
     ------

@@ -61,25 +61,14 @@ def refine_map(
     weights: Float[np.ndarray, " m"] | None = None,
     energy: str = "dirichlet",
 ) -> Refined:
-    """Minimise E(u) + Σ_i γ_i M_i ‖u_i − u⁰_i‖² from a map without bad faces.
-
-    E is a distortion energy of the map, M the vertex areas. Every iterate is free of
-    bad faces by the exact predicate, and so is the result. A mirrored start stays mirrored.
+    """`minimise_map` with a distortion energy of `compiled.energies.ENERGIES`.
 
     Parameters
     ----------
-    mesh
-        The surface, at total area 4π.
-    start, target
-        Unit positions to start from, and u⁰ to be pulled to (the start itself by default).
-    pull
-        γ, one number or one per vertex.
-    max_iterations, tolerance
-        Newton steps at most, and the relative decrease of the energy to stop at.
     weights
         Factor of every triangle in E, one by default.
     energy
-        Name of E in `energies.ENERGIES`.
+        Name of E.
 
     Raises
     ------
