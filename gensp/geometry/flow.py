@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from gensp.errors import DegenerateMesh
 from gensp.geometry.arap import ArapSystem
 from gensp.geometry.folds import folded_faces
-from gensp.geometry.linear import SPDSolver
+from gensp.geometry.linear import factored
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.operators import cotangent_laplacian, delaunay_laplacian, lumped_mass
 from gensp.geometry.sphere import icosphere
@@ -144,7 +144,8 @@ def _run(
         before = track.shapes[-1].vertices
         mass = lumped_mass(before, mesh.faces)
         try:
-            solver = _factored(solver, sp.diags(mass, format="csc") + step(k) * stiffness, mesh)
+            matrix = sp.diags(mass, format="csc") + step(k) * stiffness
+            solver = factored(solver, matrix, mesh.vertices)
             shape = _renormalized(mesh, solver.solve(mass[:, None] * before))
         except (np.linalg.LinAlgError, DegenerateMesh) as error:
             return f"degenerate: {error}"
@@ -201,14 +202,6 @@ def _require_area(mesh: Mesh) -> None:
             f"{mesh.name}: positions are not finite, or the area is zero; a surface is required "
             "to flow; replace the mesh"
         )
-
-
-def _factored(solver: SPDSolver | None, matrix: sp.csc_matrix, mesh: Mesh) -> SPDSolver:
-    # The pattern never changes along the flow, so it is analysed once.
-    if solver is None:
-        return SPDSolver(matrix, mesh.vertices)
-    solver.refactor(matrix)
-    return solver
 
 
 def _renormalized(mesh: Mesh, vertices: Float[np.ndarray, "n 3"]) -> Mesh:

@@ -76,6 +76,16 @@ class SPDSolver:
         return solution
 
 
+def factored(
+    solver: SPDSolver | None, matrix: sp.spmatrix, points: Float[np.ndarray, "k 3"]
+) -> SPDSolver:
+    """The solver with another matrix of its pattern factored, or a new one where there is none."""
+    if solver is None:
+        return SPDSolver(matrix, points)
+    solver.refactor(matrix)
+    return solver
+
+
 def _canonical(matrix: sp.spmatrix) -> sp.csc_matrix:
     matrix = sp.csc_matrix(matrix)
     if not matrix.has_canonical_format:

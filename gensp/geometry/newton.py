@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from gensp.errors import NotEmbeddable
 from gensp.geometry.assembly import HessianPattern
-from gensp.geometry.linear import SPDSolver
+from gensp.geometry.linear import factored
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.predicates import bad_faces, spherical_orientation
 from gensp.geometry.sphere import tangent_frame, unit
@@ -173,7 +173,7 @@ def _minimise(
         frames = tangent_frame(u)
         gradient, hessian = problem.gradient(u, frames), problem.hessian(u, frames)
         try:
-            solver = _factored(solver, hessian, problem.mesh)
+            solver = factored(solver, hessian, problem.mesh.vertices)
             step = -solver.solve(gradient)
         except np.linalg.LinAlgError:
             # Triangles so small that the matrix has no digits left: the map is as good as it gets.
@@ -189,13 +189,6 @@ def _minimise(
         if -0.5 * slope <= max(relative * value, absolute):
             return Refined(u, value, iteration + 1, True)
     return Refined(u, value, max_iterations, False)
-
-
-def _factored(solver: SPDSolver | None, hessian: scipy.sparse.csc_matrix, mesh: Mesh) -> SPDSolver:
-    if solver is None:
-        return SPDSolver(hessian, mesh.vertices)
-    solver.refactor(hessian)
-    return solver
 
 
 def _line_search(

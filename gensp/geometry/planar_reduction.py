@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from gensp.errors import NotEmbeddable
 from gensp.geometry.assembly import HessianPattern
 from gensp.geometry.composed_dirichlet import ComposedDirichlet
-from gensp.geometry.linear import SPDSolver
+from gensp.geometry.linear import SPDSolver, factored
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.operators import adjacency, lumped_mass
 from gensp.geometry.spherical_energy import project_positive
@@ -160,7 +160,7 @@ def _minimise(
         ridge = _RIDGE * areas * 4 / (1 + np.sum(z**2, axis=1)) ** 2
         hessian = pattern.assemble(project_positive(blocks), np.repeat(ridge, 2))
         try:
-            solver = _factored(solver, hessian, mesh)
+            solver = factored(solver, hessian, mesh.vertices)
             step = -solver.solve(gradient)
         except np.linalg.LinAlgError:
             return PlanarMap(z, value, iteration, False)
@@ -175,13 +175,6 @@ def _minimise(
         if -0.5 * slope <= tolerance * value:
             return PlanarMap(z, value, iteration + 1, True)
     return PlanarMap(z, value, max_iterations, False)
-
-
-def _factored(solver: SPDSolver | None, hessian: sp.csc_matrix, mesh: Mesh) -> SPDSolver:
-    if solver is None:
-        return SPDSolver(hessian, mesh.vertices)
-    solver.refactor(hessian)
-    return solver
 
 
 def _line_search(
