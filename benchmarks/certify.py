@@ -54,12 +54,35 @@ def summary(rows: list[Row]) -> str:
     )
 
 
+def compare(rows: list[Row], figures: Path) -> str:
+    """The maps beside the best of other programs: its mean and its maximum of σ_t on each mesh.
+
+    `figures` is a csv with the columns mesh, iso_mean and iso_max, several lines a mesh.
+    """
+    best: dict[str, tuple[float, float]] = {}
+    with open(figures, newline="") as file:
+        for row in csv.DictReader(file):
+            found = tuple(float(row[name] or "nan") for name in ("iso_mean", "iso_max"))
+            if np.isfinite(found).all():
+                least = best.get(row["mesh"], (np.inf, np.inf))
+                best[row["mesh"]] = (min(least[0], found[0]), min(least[1], found[1]))
+    known = [row for row in rows if row["mesh"] in best and row.get("sigma_mean")]
+    ours = np.array([[float(r["sigma_mean"]), float(r["sigma_max"])] for r in known])
+    mean, most = (ours / np.array([best[str(r["mesh"])] for r in known])).T
+    return (
+        f"{len(known)} meshes beside the best of other programs: mean σ at most theirs on "
+        f"{np.mean(mean <= 1):.0%}, at worst {mean.max():.3f} times; max σ "
+        f"{most.mean():.2f} times on average, above theirs on {np.mean(most > 1):.0%}"
+    )
+
+
 def main() -> None:
     """Read the command line, print a line per mesh, write the table."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("folders", type=Path, nargs="+", help="folders of meshes")
     parser.add_argument("--method", default=DEFAULT)
     parser.add_argument("--out", type=Path, help="csv")
+    parser.add_argument("--figures", type=Path, help="csv of other programs, see compare")
     words = parser.parse_args()
     per_shape(words.method)(icosphere(2))  # compiles
     paths = [
@@ -70,6 +93,8 @@ def main() -> None:
         rows.append(line(path, words.method))
         print(rows[-1], flush=True)  # noqa: T201
     print(summary(rows))  # noqa: T201
+    if words.figures:
+        print(compare(rows, words.figures))  # noqa: T201
     if words.out:
         names = ["mesh", "vertices", "seconds", "bijective", "sigma_mean", "sigma_max"]
         with atomic_path(words.out) as temporary, open(temporary, "w", newline="") as file:
