@@ -96,9 +96,9 @@ def error_curves(curves: Mapping[str, Any]) -> "Figure":
     return drawing
 
 
-def plain(panel: "Axes") -> None:
-    """A panel without frame, with a pale grid and a legend of what has a label."""
+def plain(panel: "Axes", *, legend: bool = True) -> None:
+    """A panel without frame, with a pale grid and a legend of its lines."""
     panel.spines[["top", "right"]].set_visible(False)
     panel.grid(color="#e6e6ea", linewidth=0.8)
-    if panel.lines:
+    if legend and panel.lines:
         panel.legend(frameon=False, fontsize=8)
