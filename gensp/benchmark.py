@@ -87,7 +87,8 @@ class Benchmark:
         if failed:
             yield "## Failures\n"
         for summary, entry in failed:
-            yield f"- {summary_label(summary)}, {entry['id']}: {entry['error']}"
+            id, error = entry["id"], str(entry["error"])
+            yield f"- {summary_label(summary)}, {id}: {error.removeprefix(f'{id}: ')}"
 
     def latex(self) -> str:
         """The tables as LaTeX tabulars, for a document that loads booktabs."""

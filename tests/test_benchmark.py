@@ -13,7 +13,7 @@ from gensp.tables import latex_table, latex_text, read_summary_csv
 from gensp.tasks.evaluate import drawn_partners
 
 FILES = ("table.md", "table.csv", "table.tex", "plot.png")
-REASON = "thin: finds no place on the sphere; remesh the surface"
+REASON = "vertex 7 finds no place on the sphere; remesh the surface"
 
 
 def summary(variant: str, sigma: float, failed: int = 0, method: str | None = None) -> dict:
@@ -32,7 +32,7 @@ def summary(variant: str, sigma: float, failed: int = 0, method: str | None = No
         "method": method or variant.split("+")[0],
         "collection": "heads",
         "groups": {"test": {**figures, "shapes": 2}, "all": figures},
-        "failed": [{"id": f"thin{place}", "error": REASON} for place in range(failed)],
+        "failed": [{"id": f"s{at}", "error": f"s{at}: {REASON}"} for at in range(failed)],
     }
 
 
@@ -49,7 +49,7 @@ def test_markdown_has_every_part_and_the_reasons_of_failures() -> None:
     assert distortion["ahsp"]["worst σ"] == "25.000"
     assert bijectivity["dirichlet"]["failures"] == "0"
     assert bijectivity["ahsp"]["failures"] == "1"
-    assert f"- ahsp, thin0: {REASON}" in text
+    assert f"- ahsp, s0: {REASON}" in text
     assert "c (rotated)" not in text  # no figure, no column
 
 
