@@ -2,6 +2,7 @@
 
 import csv
 import io
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -116,7 +117,12 @@ class Benchmark:
     def _groups(self, split: str) -> Iterator[tuple[Summary, dict[str, float]]]:
         for summary in self.summaries:
             if split in summary["groups"]:
-                group = dict(summary["groups"][split])
+                # JSON has no word for infinity: a figure that is there and null, of a map with a
+                # collapsed triangle.
+                group = {
+                    key: math.inf if value is None else value
+                    for key, value in summary["groups"][split].items()
+                }
                 # What failed is listed without its split.
                 failed = {"failures": len(summary.get("failed") or ())} if split == "all" else {}
                 yield summary, group | failed

@@ -69,6 +69,14 @@ def test_csv_says_what_the_summaries_say_to_the_last_digit() -> None:
         assert row["failures"] == len(found["failed"])
 
 
+def test_a_collapsed_triangle_shows_as_infinite_distortion() -> None:
+    collapsed = summary("cmcf_raw", 1.5)
+    collapsed["groups"]["all"]["sigma_max"] = None  # as JSON keeps what is not finite
+    table = Benchmark((collapsed,))
+    assert "| cmcf_raw | 1.500 | ∞ |" in table.markdown()
+    assert read_summary_csv(table.csv())[0]["sigma_max"] == float("inf")
+
+
 @pytest.mark.parametrize(
     ("text", "typeset"),
     [
