@@ -120,6 +120,7 @@ def test_partners_are_mutual_and_equally_many() -> None:
     drawn = {id: drawn_partners(ids, id, 4) for id in ids}
     assert all(len(others) == 4 and id not in others for id, others in drawn.items())
     assert all(id in drawn[other] for id, others in drawn.items() for other in others)
+    assert drawn_partners(ids, "s3", 0) == set()
     for many in (None, 10, 40):
         assert drawn_partners(ids, "s3", many) == set(ids) - {"s3"}
 

@@ -133,7 +133,7 @@ def drawn_partners(ids: Sequence[str], id: str, partners: int | None) -> set[str
         return set(ids) - {id}
     order = np.random.default_rng(0).permutation(len(ids))
     place = int(np.flatnonzero(order == ids.index(id))[0])
-    reach = max(1, partners // 2)
+    reach = (partners + 1) // 2
     near = [order[(place + step) % len(ids)] for step in range(-reach, reach + 1)]
     return {ids[index] for index in near} - {id}
 
