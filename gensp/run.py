@@ -24,7 +24,7 @@ from gensp.files import write_text
 from gensp.runs import Progress, Run, Runs, begin, clear, restart, tidy
 from gensp.stages.callbacks import WholeCheckpoints
 from gensp.stages.session import carry_out, close, conclude, quiet, threads
-from gensp.terminal import announce, complain, say, show_variants
+from gensp.terminal import announce, complain, say, show_methods, show_variants
 
 _TRAINER_SCIENCE = (
     "max_epochs",
@@ -110,14 +110,24 @@ def run_stage(cfg: DictConfig, overrides: Sequence[str] = (), place: str = "") -
     inputs = {need: runs.open(need, needed_by=name) for need in cfg.stage.needs}
     settings = settings_of(cfg, inputs)
     announce(name, folder, place)
-    with _output_errors(folder), _place(cfg, folder) as folder:
-        state = _prepare(cfg, folder, settings)
+    with _output_errors(folder):
+        headline = _bring_to_end(cfg, folder, runs, inputs, settings)
+        if name == "evaluate" and cfg.keep:
+            show_methods(folder.parent.parent)
+    return headline
+
+
+def _bring_to_end(
+    cfg: DictConfig, folder: Path, runs: Runs, inputs: dict[str, Run], settings: dict[str, Any]
+) -> float | None:
+    with _place(cfg, folder) as place:
+        state = _prepare(cfg, place, settings)
         if state is Progress.ALL:
             say("      finished before, kept")
-            return Run(folder).headline
+            return Run(place).headline
         optional = {use: runs.find(use) for use in cfg.stage.get("optional", ())}
-        inputs |= {use: found for use, found in optional.items() if found is not None}
-        return _execute(cfg, folder, inputs, settings, state)
+        found = {use: run for use, run in optional.items() if run is not None}
+        return _execute(cfg, place, inputs | found, settings, state)
 
 
 def _require_values(cfg: DictConfig) -> None:

@@ -3,6 +3,7 @@
 import csv
 import io
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -101,6 +102,38 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A Markdown table; the first column to the left, figures to the right."""
     rule = ["---", *["--:"] * (len(header) - 1)]
     return "\n".join("| " + " | ".join(line) + " |" for line in [list(header), rule, *rows]) + "\n"
+
+
+# What LaTeX reads otherwise, and signs that a plain font lacks.
+_LATEX = {
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    **{sign: "\\" + sign for sign in "&%$#_{}"},
+    "σ^con": r"$\sigma^{\mathrm{con}}$",
+    "σ": r"$\sigma$",
+    "√": r"$\surd$",
+    "≠": r"$\neq$",
+    "±": r"$\pm$",
+    "∞": r"$\infty$",
+    "–": "--",
+}
+_LATEX_SIGNS = re.compile("|".join(map(re.escape, sorted(_LATEX, key=len, reverse=True))))
+
+
+def latex_text(text: str) -> str:
+    """A text as LaTeX sets it, every sign as it stands."""
+    return _LATEX_SIGNS.sub(lambda found: _LATEX[found.group()], text)
+
+
+def latex_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A tabular with the rules of booktabs; the first column to the left, figures to the right."""
+    head, *body = (
+        "  " + " & ".join(map(latex_text, line)) + r" \\" for line in [list(header), *rows]
+    )
+    begin = rf"\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}"
+    lines = [begin, r"  \toprule", head, r"  \midrule", *body, r"  \bottomrule", r"\end{tabular}"]
+    return "\n".join(lines) + "\n"
 
 
 def summary_label(summary: Summary) -> str:

@@ -9,7 +9,7 @@ from lightning.pytorch.utilities import rank_zero_only
 from rich.console import Console
 from rich.markup import escape
 
-from gensp.comparison import compare_variants
+from gensp.comparison import compare_methods, compare_variants
 from gensp.files import read_json
 from gensp.tables import rich_table
 
@@ -72,3 +72,11 @@ def show_variants(experiment: Path) -> None:
     for split in comparison.splits:
         console.print(comparison.rich(split))
     say(f"      {experiment / 'summary.md'}")
+
+
+@rank_zero_only
+def show_methods(experiment: Path) -> None:
+    """The end of an evaluation: tables and plot of all methods that the experiment has."""
+    written = compare_methods(experiment)
+    if written:
+        say(f"      {' '.join(map(str, written))}")

@@ -28,7 +28,8 @@ ALLOWED = {
     "tables": CORE,
     "pictures": CORE | {"geometry", "tables"},
 }
-ALLOWED["comparison"] = CORE | {"tables"}
+ALLOWED["benchmark"] = CORE | {"tables"}
+ALLOWED["comparison"] = CORE | {"tables", "benchmark", "pictures"}
 ALLOWED["data.modules"] = ALLOWED["data"] | {"runs", "data"}
 ALLOWED["data.training"] = ALLOWED["data"] | {"runs", "data"}
 ALLOWED["tasks"] = set(ALLOWED) - {"data.modules", "data.training"}

@@ -68,7 +68,7 @@ def _losses(panel: "Axes", history: History) -> None:
         panel.plot(np.array(epochs)[shown], drawn[shown], style, label=label, linewidth=1.5)
     panel.set_yscale("log")
     panel.set_xlabel("epoch")
-    _plain(panel)
+    plain(panel)
 
 
 _ERROR_LINES = {
@@ -92,12 +92,13 @@ def error_curves(curves: Mapping[str, Any]) -> "Figure":
                 panel.plot(curves["thresholds"], lines[kind], style, color=colour, label=label)
     panel.set(xlabel="error / √area", ylabel="fraction of points below", ylim=(0, 1.02))
     panel.set_xlim(left=0)
-    _plain(panel)
+    plain(panel)
     return drawing
 
 
-def _plain(panel: "Axes") -> None:
+def plain(panel: "Axes", *, legend: bool = True) -> None:
+    """A panel without frame, with a pale grid and a legend of its lines."""
     panel.spines[["top", "right"]].set_visible(False)
     panel.grid(color="#e6e6ea", linewidth=0.8)
-    if panel.lines:
+    if legend and panel.lines:
         panel.legend(frameon=False, fontsize=8)

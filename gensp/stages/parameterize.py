@@ -27,11 +27,17 @@ class ParameterizeStage(ItemStage):
         rows = [row for row in self.rows if not row.get("error")]
         return {
             "bad_faces": _sum(rows, "bad_faces"),
-            "bad_faces_start": _sum(rows, "bad_faces_start"),
+            **_starts(rows),
             "folded_maps": sum(bool(row["bad_faces"]) or abs(_degree(row)) != 1 for row in rows),
             "seconds": round(_sum(rows, "seconds") / max(len(rows), 1), 4),
             **counts,
         }
+
+
+def _starts(rows: list[Row]) -> dict[str, float]:
+    """Folds before refinement, of a method that begins with a map of the whole shape."""
+    known = [row for row in rows if row.get("bad_faces_start") is not None]
+    return {"bad_faces_start": _sum(known, "bad_faces_start")} if known else {}
 
 
 def _sum(rows: list[Row], column: str) -> float:

@@ -68,14 +68,22 @@ def group_figures(
 def _shape_figures(rows: Sequence[Record]) -> dict[str, float | int]:
     bad = sum(row["bad_faces"] for row in rows)
     largest = ("sigma_max", "conformal_max", "coverage_max", "prediction_coverage_max")
+    sizes = ("seconds", "vertices")
     means = ("sigma_mean", "sigma_area", "conformal_mean", "coverage_mean", "seconds")
     return {
         "shapes": len(rows),
         **_means(rows, (*means, "prediction_coverage_mean")),
         "sigma_max_mean": _statistic(np.mean, rows, "sigma_max"),
         **{key: _statistic(np.max, rows, key) for key in largest if _values(rows, key)},
+        **{
+            f"{key}_median": _statistic(np.median, rows, key)
+            for key in sizes
+            if _values(rows, key)
+        },
+        **{f"{key}_max": _statistic(np.max, rows, key) for key in sizes if _values(rows, key)},
         "bad_faces": bad,
         "bad_faces_percent": 100 * bad / max(1, sum(row["faces"] for row in rows)),
+        "wrong_degree": sum(abs(row["degree"]) != 1 for row in rows),
         "affected_shapes": sum(row["bad_faces"] > 0 or abs(row["degree"]) != 1 for row in rows),
     }
 

@@ -1,10 +1,12 @@
 """Work on one shape of the evaluation: its own row, and its share of the pairs."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from gensp.compute import Row, finished_row
 from gensp.data.ground_truth import GroundTruth
@@ -31,6 +33,8 @@ class Evaluate:
         Icosphere level of the remeshed surface whose coverage is measured.
     samples
         Random points that stand for the sphere, and for the surface, in c.
+    partners
+        About so many other shapes each shape is compared with; none: with all.
     """
 
     parameterize: Path
@@ -38,6 +42,7 @@ class Evaluate:
     collection: ShapeCollection
     level: int = 5
     samples: int = 10_000
+    partners: int | None = None
 
     def __call__(self, id: str) -> Row:
         """Write `pairs/<id>.json` and give the shape's row."""
@@ -50,10 +55,11 @@ class Evaluate:
         """The shapes whose pair with this one is measured here: half of all, each pair once."""
         ids = mapped_ids(self.collection, self.parameterize)
         place = ids.index(id)
+        drawn = drawn_partners(self.collection.ids(), id, self.partners)
         return [
             other
             for index, other in enumerate(ids)
-            if index != place and (index + place) % 2 == (index > place)
+            if other in drawn and (index + place) % 2 == (index > place)
         ]
 
     def _pair(self, id: str, other: str) -> list[Record]:
@@ -115,6 +121,21 @@ def map_path(parameterize: Path, id: str) -> Path:
 def mapped_ids(collection: ShapeCollection, parameterize: Path) -> list[str]:
     """Shapes of a collection that have a map, in its order."""
     return [id for id in collection.ids() if map_path(parameterize, id).is_file()]
+
+
+def drawn_partners(ids: Sequence[str], id: str, partners: int | None) -> set[str]:
+    """The other shapes that one is compared with.
+
+    All shapes stand on a circle in random order, the same for every method, and each is compared
+    with those next to it: so all take part in equally many pairs.
+    """
+    if partners is None or partners >= len(ids) - 1:
+        return set(ids) - {id}
+    order = np.random.default_rng(0).permutation(len(ids))
+    place = int(np.flatnonzero(order == ids.index(id))[0])
+    reach = (partners + 1) // 2
+    near = [order[(place + step) % len(ids)] for step in range(-reach, reach + 1)]
+    return {ids[index] for index in near} - {id}
 
 
 # A worker meets every map in many pairs.
