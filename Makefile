@@ -3,7 +3,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
-SOURCES := gensp conf tests benchmarks train.py
+SOURCES := gensp conf tests benchmarks examples train.py
 
 # One thread each: the tests and the item workers use processes.
 ONE_THREAD := OMP_NUM_THREADS=1 IGL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1

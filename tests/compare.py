@@ -2,13 +2,14 @@
 
 import csv
 import json
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-_NO_RESULTS = {"manifest.json", "config.yaml", "settings.json", "report.html"}
+_NO_RESULTS = {"manifest.json", "config.yaml", "settings.json"}
 _NO_RESULT_FOLDERS = {"logs", "checkpoints"}
 
 
@@ -46,7 +47,9 @@ def load(path: Path) -> Any:
         with open(path) as file:
             return [_timeless(row) for row in csv.DictReader(file)]
     if path.suffix == ".md":
-        return None
+        return _timeless_tables(path.read_text())
+    if path.suffix == ".html":
+        return _timeless_page(path.read_text())
     return path.read_bytes()
 
 
@@ -62,3 +65,23 @@ def _timeless(node: Any) -> Any:
     if isinstance(node, dict):
         return {key: _timeless(value) for key, value in node.items() if "seconds" not in key}
     return [_timeless(value) for value in node] if isinstance(node, list) else node
+
+
+def _timeless_tables(markdown: str) -> list[list[str]]:
+    """Cells of every line, those below a heading "seconds" left out."""
+    lines, timed = [], set[int]()
+    for line in markdown.splitlines():
+        cells = [cell.strip() for cell in line.split("|")]
+        if len(cells) == 1:
+            timed = set()
+        timed |= {place for place, cell in enumerate(cells) if cell == "seconds"}
+        lines.append([cell for place, cell in enumerate(cells) if place not in timed])
+    return lines
+
+
+def _timeless_page(html: str) -> list[list[str]]:
+    """The page in pieces: rows of tables as their cells, without seconds and without settings."""
+    page = re.sub(r"<section><h2>How it was made</h2>.*?</section>", "", html, flags=re.DOTALL)
+    page = re.sub(r"<b>[^<]*</b><span>seconds</span>", "", page)
+    page = re.sub(r"</t[hd]><t[hd][^>]*>", " | ", page)
+    return _timeless_tables(re.sub(r"(</?(?:table|tr)[^>]*>|</?t[hd][^>]*>)", r"\n", page))

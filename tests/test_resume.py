@@ -3,11 +3,14 @@
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from commands import STAGES, begun, finished_items, kill_in_the_middle, run_here, smoke_words
 from compare import different
 
+from gensp.pictures.report import Page, write_report
 from gensp.runs import Run
+from gensp.tables import summary_markdown
 
 pytestmark = pytest.mark.slow
 
@@ -25,6 +28,25 @@ def test_a_killed_stage_goes_on(stage: str, smoke: Path, smoke_copy: Path) -> No
     run_here(*words)
     assert kept.items() <= finished_items(folder).items()
     assert different(folder, smoke / "smoke" / "full" / stage) == []
+
+
+@pytest.mark.parametrize("name", ["summary.md", "report.html"])
+def test_a_comparison_sees_figures_and_no_seconds(name: str, tmp_path: Path) -> None:
+    def folder(error: float, seconds: float) -> Path:
+        group = {"error": error, "seconds": seconds, "shapes": 3}
+        summary = {"method": "gensp", "variant": "full", "groups": {"all": group}}
+        made = tmp_path / f"{error}_{seconds}"
+        made.mkdir()
+        if name == "summary.md":
+            (made / name).write_text(summary_markdown(summary))
+        else:
+            page = Page("", "", summary, (), {}, np.eye(3), settings={"runs": str(made)})
+            write_report(page, made / name)
+        return made
+
+    first = folder(0.01, 2.0)
+    assert different(first, folder(0.01, 3.0)) == []
+    assert different(first, folder(0.02, 2.0)) == [name]
 
 
 def test_a_finished_stage_returns_at_once(smoke_copy: Path) -> None:

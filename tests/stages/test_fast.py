@@ -18,12 +18,13 @@ def test_one_batch(stage: str, smoke: Path) -> None:
     assert listing(smoke) == before
 
 
-@pytest.mark.parametrize(
-    "words",
-    [("fit=register",), ("method=cmcf",), ("method=arap",), ("method=vc25",), ("refine=none",)],
-)
-def test_one_map(words: tuple[str, ...], smoke: Path) -> None:
-    run_here(*smoke_words(smoke), "stage=parameterize", "debug=fast", *words)
+METHODS = ("cmcf", "cmcf_raw", "dirichlet", "stretch", "ahsp", "arap", "vc25")
+OPTIONS = ("fit=register", "refine=none", "refine=certify")
+
+
+@pytest.mark.parametrize("word", [*OPTIONS, *(f"method={name}" for name in METHODS)])
+def test_one_map(word: str, smoke: Path) -> None:
+    run_here(*smoke_words(smoke), "stage=parameterize", "debug=fast", word)
 
 
 @pytest.mark.parametrize("generator", ["direct", "flow"])
