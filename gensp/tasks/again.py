@@ -56,7 +56,9 @@ class Rounds:
             for _ in run_items(again, list(images), again.folder, self.workers):
                 pass
             done = stored_rows(again.folder)
-            images |= {str(row["id"]): again.result(str(row["id"])) for row in done if row.get("kept")}
+            images |= {
+                str(row["id"]): again.result(str(row["id"])) for row in done if row.get("kept")
+            }
             rows += [{"round": number, **row} for row in done]
         return images, rows
 
