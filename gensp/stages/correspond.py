@@ -184,8 +184,8 @@ class CorrespondStage(ItemStage):
         broken = sorted({str(row["id"]) for row in rows if row.get("error")})
         if broken:
             warn(
-                f"{', '.join(broken)}: not registered again, the images carried along the tree are "
-                f"kept; see {self.folder / 'rounds.csv'}"
+                f"{', '.join(broken)}: not registered again, the images carried along the tree "
+                f"are kept; see {self.folder / 'rounds.csv'}"
             )
         return carried | agreed
 
