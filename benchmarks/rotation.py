@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 
 from cmcf import bumpy
+from regularizer import row
 from scipy.spatial.transform import Rotation
 
 from gensp.geometry.rotation_registration import density_signal, register_rotation
@@ -40,11 +41,6 @@ def measure() -> list[dict[str, object]]:
         row("rotation: registration of a pair", pair, "s", "≤ 0.1"),
         row("rotation: error on a turned map", float(angle), "rad", "≤ 1e-6"),
     ]
-
-
-def row(name: str, figure: float, unit: str, required: str = "") -> dict[str, object]:
-    """One line of the benchmark table."""
-    return {"name": name, "figure": figure, "unit": unit, "required": required}
 
 
 if __name__ == "__main__":

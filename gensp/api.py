@@ -104,7 +104,7 @@ def load(checkpoint: Path | str, *, register: bool = False, **settings: Any) -> 
     """
     from gensp.methods.fitting import NoFit, RegisterFit
     from gensp.methods.gensp import GenSP
-    from gensp.methods.refinement import NewtonRefinement
+    from gensp.methods.refinement import CertifiedRefinement
 
-    chosen = {"fit": RegisterFit() if register else NoFit(), "refine": NewtonRefinement()}
+    chosen = {"fit": RegisterFit() if register else NoFit(), "refine": CertifiedRefinement()}
     return GenSP.load(checkpoint, **{**chosen, **settings})

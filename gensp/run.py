@@ -49,10 +49,31 @@ def run(cfg: DictConfig, overrides: Sequence[str] = ()) -> float | None:
     ----------
     overrides
         What was typed to get `cfg`; a pipeline composes its stages from it.
+
+    Raises
+    ------
+    Unsupported
+        A fit or a refinement was typed that the method does not take.
     """
+    _require_taken(cfg, overrides)
     if cfg.stage.name == "all":
         return run_pipeline(cfg, overrides)
     return run_stage(cfg, overrides)
+
+
+def _require_taken(cfg: DictConfig, overrides: Sequence[str]) -> None:
+    """Refuse what was asked for and would be ignored."""
+    method = cfg.method.name
+    for part in ("fit", "refine"):
+        typed = [word for word in overrides if re.match(rf"\+*{part}[.=]", word)]
+        if typed and part not in cfg.method.takes:
+            takes = (
+                ", ".join(f"{word}=" for word in cfg.method.takes) or "neither fit= nor refine="
+            )
+            raise Unsupported(
+                f"{typed[0]}: was found with method={method}, which takes {takes}; leave it out, "
+                f"or choose method=gensp"
+            )
 
 
 def run_pipeline(cfg: DictConfig, overrides: Sequence[str] = ()) -> float | None:

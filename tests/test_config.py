@@ -131,12 +131,20 @@ def keys_of(node: Any, prefix: str = "") -> set[str]:
 
 def test_recipes_have_the_same_keys() -> None:
     recipes = {
-        name: keys_of(OmegaConf.to_container(OmegaConf.load(CONF / "recipe" / f"{name}.yaml")))
+        name: keys_of(OmegaConf.to_container(composed(f"recipe={name}").recipe))
         for name in choices("recipe")
     }
-    assert set(recipes) == {"paper", "quick", "smoke"}
+    assert set(recipes) == {"paper", "quick", "quick_quadrupeds", "smoke"}
     for name, keys in recipes.items():
         assert keys == recipes["paper"], name
+
+
+@pytest.mark.parametrize("experiment", choices("experiment"))
+def test_no_experiment_changes_a_recipe(experiment: str) -> None:
+    assert (
+        composed(f"experiment={experiment}", "recipe=paper").recipe
+        == composed("recipe=paper").recipe
+    )
 
 
 def reads() -> dict[str, set[str]]:

@@ -25,8 +25,11 @@ def unfitted(generated: Mesh, mesh: Mesh) -> Mesh:
     return generated
 
 
-def unrefined(mesh: Mesh, start: np.ndarray, target: np.ndarray) -> SphericalMap:
+def unrefined(
+    mesh: Mesh, start: np.ndarray, target: np.ndarray, trust: np.ndarray
+) -> SphericalMap:
     assert np.array_equal(start, target)
+    assert trust.shape == (len(mesh.vertices),)
     return SphericalMap(start, mesh.vertices, mesh.faces, mesh.name, {"rung": "none"})
 
 
@@ -35,7 +38,7 @@ def onto(generated: Mesh, mesh: Mesh) -> Mesh:
     return generated.with_vertices(mesh.vertices.copy())
 
 
-SETTINGS = {"fit": unfitted, "refine": unrefined, "level": 3, "points": 128}
+SETTINGS = {"fit": unfitted, "refine": unrefined, "level": 3, "points": 128, "draws": 8}
 
 
 def test_map_keeps_the_input_and_its_order(bumpy: Mesh) -> None:
@@ -95,15 +98,23 @@ def test_model_knows_the_clouds_that_it_was_trained_on(tmp_path: Path, bumpy: Me
     assert (other.points, other.draws) == (128, 1)
 
 
-def test_model_of_an_older_version_is_still_read(tmp_path: Path) -> None:
+def test_model_that_does_not_tell_its_clouds_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "model.pt"
+    save_model(path, **networks())
+    with pytest.raises(Unsupported, match=r"points: the encoder does not tell .*points=NUMBER"):
+        GenSP.load(path, fit=unfitted, refine=unrefined)
+    with pytest.raises(Unsupported, match="draws: "):
+        GenSP.load(path, fit=unfitted, refine=unrefined, points=128)
+
+
+def test_model_that_lacks_the_mean_image_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "model.pt"
     save_model(path, **networks())
     content = torch.load(path, weights_only=True)
-    for key in ("points", "draws"):
-        del content["encoder"]["architecture"]["settings"][key]
+    del content["generator"]["state_dict"]["mean_image"]
     torch.save(content, path)
-    loaded = GenSP.load(path, fit=unfitted, refine=unrefined)
-    assert (loaded.points, loaded.draws) == (1024, 8)
+    with pytest.raises(Unsupported, match="weights of another architecture"):
+        GenSP.load(path, **SETTINGS)
 
 
 def test_model_without_generator_is_refused(tmp_path: Path) -> None:

@@ -216,11 +216,14 @@ def test_morph_of_another_triangulation_is_refused(bumpy):
 
 
 def test_loss_curves_draw_every_term(tmp_path):
-    write_text(tmp_path / "history.csv", "epoch,step,train/sdf,val/sdf\n0,1,1.0,\n1,2,0.5,0.6\n")
+    write_text(
+        tmp_path / "history.csv",
+        "epoch,step,train/sdf,train/bend,train/x_share\n0,1,1.0,,\n1,2,0.5,0.6,1\n",
+    )
     history = read_history(tmp_path / "history.csv")
-    assert np.isnan(history["val/sdf"][0])
+    assert np.isnan(history["train/bend"][0])
     panel = loss_curves({"implicit": history}).axes[0]
-    assert {line.get_label() for line in panel.lines} == {"sdf", "val/sdf"}
+    assert {line.get_label() for line in panel.lines} == {"sdf", "bend"}
     np.testing.assert_allclose(panel.lines[0].get_ydata(), [1.0, 0.5])
 
 

@@ -61,6 +61,21 @@ def test_unknown_word_lists_the_known_ones(words: tuple[str, ...], line: str) ->
     assert str(caught.value) == line
 
 
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (("method=arap", "refine=certify"), "refine=certify: .*arap, which takes neither fit="),
+        (
+            ("method=cmcf", "refine=none", "fit=register"),
+            "fit=register: .*cmcf, which takes refine=",
+        ),
+    ],
+)
+def test_what_a_method_would_ignore_is_refused(words: tuple[str, ...], line: str) -> None:
+    with pytest.raises(Unsupported, match=line):
+        run_here("stage=parameterize", *words)
+
+
 def test_missing_value_is_asked_for() -> None:
     with pytest.raises(MissingData) as caught:
         run_here("stage=augment", "shapes=folder")

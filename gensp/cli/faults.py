@@ -6,8 +6,13 @@ from gensp.errors import GenSPError
 
 # The library speaks to whoever runs the pipeline; here its remedies are other ones.
 _REMEDIES = {
-    ", or set shapes.on_bad=skip": "; gensp check FILE tells more",
+    # What holds another remedy comes before it.
     ", raise shapes.max_faces, or set shapes.on_bad=skip": " (gensp repair --remesh does)",
+    ", or set shapes.on_bad=skip": "; gensp check FILE tells more",
+    ", or set recipe.fit.own=1": "",
+    "; start stiffer with recipe.correspond.registration.schedule": "; leave out --register",
+    "the model.pt of stage=finetune or initialize": "a model.pt that holds both",
+    "run python train.py stage=finetune": "train one, or leave out --checkpoint",
     "name another folder with paths.runs=FOLDER": "name another place",
     "try fit=register or a longer training for a closer start, or keep the folded map with "
     "refine=none": "try another --method, or --register with a model",

@@ -28,6 +28,7 @@ from gensp.data.sdf import SdfSampler, cached_samples, sample_path
 from gensp.data.shapes import SPHERE
 from gensp.errors import MissingData
 from gensp.files import load_npz
+from gensp.geometry.common_source import known_mean
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import icosphere, icosphere_of
 from gensp.runs import Run
@@ -202,10 +203,7 @@ class CorrespondenceModule(FitModule):
 
     def mean_target(self, items: Sequence[int]) -> Float[Tensor, "v 3"]:
         """Mean place of the vertices over the items where it is known; elsewhere that on S_0."""
-        known = self.valid[items][..., None]
-        count = known.sum(axis=0)
-        total = np.where(known, self.targets[items], 0).sum(axis=0)
-        mean = np.where(count > 0, total / np.maximum(count, 1), self.targets[0])
+        mean = known_mean(self.targets[items], self.valid[items], self.targets[0])
         return torch.from_numpy(mean.astype(np.float32))
 
     def dataset(self) -> CorrespondenceDataset:

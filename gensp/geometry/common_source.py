@@ -6,18 +6,36 @@ shape, they agree better with one another.
 """
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from gensp.geometry.correspondence import Correspondence, closest_agreeing, correspondence
 from gensp.geometry.mesh import Mesh
 
 
-def low_rank(images: Float[np.ndarray, "k n 3"], rank: int) -> Float[np.ndarray, "k n 3"]:
-    """Every image reduced to the mean and `rank` principal modes of all; rank 0 is the mean."""
-    flat = images.reshape(len(images), -1)
-    mean = flat.mean(axis=0)
-    modes = np.linalg.svd(flat - mean, full_matrices=False)[2][:rank]
-    return (mean + (flat - mean) @ modes.T @ modes).reshape(images.shape)
+def known_mean(
+    images: Float[np.ndarray, "k n 3"],
+    valid: Bool[np.ndarray, "k n"],
+    otherwise: Float[np.ndarray, "n 3"],
+) -> Float[np.ndarray, "n 3"]:
+    """Mean of every vertex over the images where it is known, and `otherwise` where in none."""
+    known = valid[..., None]
+    count = known.sum(axis=0)
+    total = np.where(known, images, 0).sum(axis=0)
+    mean: np.ndarray = np.where(count > 0, total / np.maximum(count, 1), otherwise)
+    return mean
+
+
+def low_rank(
+    images: Float[np.ndarray, "k n 3"], valid: Bool[np.ndarray, "k n"], rank: int
+) -> Float[np.ndarray, "k n 3"]:
+    """Every image reduced to the mean and `rank` principal modes of all; rank 0 is the mean.
+
+    Vertices that are not valid in an image have no part in the mean and count as lying there.
+    """
+    mean = known_mean(images, valid, images.mean(axis=0))
+    away = np.where(valid[..., None], images - mean, 0).reshape(len(images), -1)
+    modes = np.linalg.svd(away, full_matrices=False)[2][:rank]
+    return mean + (away @ modes.T @ modes).reshape(images.shape)
 
 
 def placed(

@@ -6,11 +6,11 @@ from typing import Any
 import igl
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 from scipy.sparse.csgraph import connected_components
 
 from gensp.errors import BadMesh
-from gensp.geometry.mesh import Mesh, require_genus_zero
+from gensp.geometry.mesh import Mesh, require_genus_zero, signed_volume
 
 _SINGULAR = {"vertices": "vertex", "edges": "edge", "faces": "face", "holes": "hole"}
 REPAIR, REMESH = "gensp repair", "gensp repair --remesh"
@@ -161,7 +161,7 @@ def _counts(mesh: Mesh) -> dict[str, Any]:
         closed = Mesh(mesh.vertices, faces).euler + loops
         found["genus"] = parts - closed // 2
         if edges["boundary_edges"] + edges["misoriented_edges"] == 0 and parts == 1:
-            found["inward"] = signed_volume(mesh.vertices, faces) < 0
+            found["inward"] = signed_volume(Mesh(mesh.vertices, faces)) < 0
     return found
 
 
@@ -169,12 +169,6 @@ def degenerate_faces(mesh: Mesh, smallest: float = 1e-15) -> Bool[np.ndarray, " 
     """Faces with a repeated corner, or with less than `smallest` of the total area."""
     repeated = (np.diff(np.sort(mesh.faces, axis=1), axis=1) == 0).any(axis=1)
     return repeated | (mesh.face_areas <= smallest * max(mesh.area, np.finfo(float).tiny))
-
-
-def signed_volume(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> float:
-    """Volume within a closed surface, negative where its faces look inwards."""
-    centred = (vertices - vertices.mean(axis=0))[faces]
-    return float(np.linalg.det(centred).sum() / 6)
 
 
 def half_edges(faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "h 2"]:

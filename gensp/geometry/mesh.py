@@ -140,9 +140,9 @@ def require_genus_zero(mesh: Mesh, *, max_faces: int = 200_000) -> None:
             f"{mesh.name}: Euler characteristic {mesh.euler} (genus {1 - mesh.euler // 2}); genus "
             "0 is required; cut the handles and close them, or set shapes.on_bad=skip"
         )
-    if _signed_volume(mesh) <= 0:
+    if signed_volume(mesh) <= 0:
         raise NotGenusZero(
-            f"{mesh.name}: the faces look inwards (signed volume {_signed_volume(mesh):.3g}); "
+            f"{mesh.name}: the faces look inwards (signed volume {signed_volume(mesh):.3g}); "
             "outward orientation is required; flip all faces, or set shapes.on_bad=skip"
         )
 
@@ -231,7 +231,8 @@ def _fans(directed: Int[np.ndarray, " h"], backward: Int[np.ndarray, " h"]) -> i
     return int(connected_components(turns, return_labels=False))
 
 
-def _signed_volume(mesh: Mesh) -> float:
+def signed_volume(mesh: Mesh) -> float:
+    """Volume within a closed surface, negative where its faces look inwards."""
     centred = (mesh.vertices - mesh.vertices.mean(axis=0))[mesh.faces]
     return float(np.linalg.det(centred).sum() / 6)
 

@@ -10,9 +10,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from gensp.errors import DegenerateMesh
-from gensp.geometry.diagnosis import degenerate_faces, half_edges, signed_volume
+from gensp.geometry.diagnosis import degenerate_faces, half_edges
 from gensp.geometry.holes import fill_holes
-from gensp.geometry.mesh import Mesh
+from gensp.geometry.mesh import Mesh, signed_volume
 
 _ROUNDS = 20
 _FLAT = 1e-14  # of the total area; the check refuses 1e-15
@@ -238,6 +238,6 @@ def _largest_part(mesh: Mesh) -> tuple[Mesh, int]:
 
 
 def _outward(mesh: Mesh) -> tuple[Mesh, int]:
-    if signed_volume(mesh.vertices, mesh.faces) >= 0:
+    if signed_volume(mesh) >= 0:
         return mesh, 0
     return replace(mesh, faces=np.ascontiguousarray(mesh.faces[:, ::-1])), 1

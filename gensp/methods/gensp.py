@@ -23,8 +23,6 @@ T = TypeVar("T")
 Fit = Callable[[Mesh, Mesh], Mesh]
 Refinement = Callable[[Mesh, np.ndarray, np.ndarray, np.ndarray], SphericalMap]
 
-_POINTS, _DRAWS = 1024, 8
-
 
 class GenSP:
     """Spherical parameterization by the learnt generator.
@@ -48,6 +46,11 @@ class GenSP:
         The surface that is fitted is the one generated at the shape's own code (1), the mean
         image of the shapes learnt from (0), or between. What all shapes share has no bias of its
         own, but it must resemble them.
+
+    Raises
+    ------
+    Unsupported
+        The encoder does not tell the clouds that it was trained on, and they are not given.
     """
 
     name = "gensp"
@@ -67,9 +70,8 @@ class GenSP:
         self.encoder, self.generator = encoder.eval(), generator.eval()
         self.fit, self.refine = fit, refine
         self.level, self.own = level, own
-        # Files of older versions do not tell.
-        self.points = points or encoder.settings["points"] or _POINTS
-        self.draws = draws or encoder.settings["draws"] or _DRAWS
+        self.points = _told("points", points, encoder)
+        self.draws = _told("draws", draws, encoder)
 
     @classmethod
     def load(cls, path: Path | str, **settings: Any) -> Self:
@@ -145,6 +147,17 @@ class GenSP:
                 "code": code,
             },
         )
+
+
+def _told(name: str, given: int | None, encoder: PointNet2Encoder) -> int:
+    """A number of the encoder's clouds: as given, or as in training."""
+    number = given or encoder.settings[name]
+    if not number:
+        raise Unsupported(
+            f"{name}: the encoder does not tell the clouds that it was trained on; the model.pt "
+            f"of stage=finetune or initialize is required, or give {name}=NUMBER"
+        )
+    return int(number)
 
 
 def _timed(seconds: dict[str, float], part: str, work: Callable[[], T]) -> T:

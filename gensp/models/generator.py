@@ -36,8 +36,9 @@ class Generator(Network):
         self, state_dict: dict[str, Any], prefix: str, *rest: Any, **named: Any
     ) -> None:
         # Only the weights know of which icosphere the image is.
-        image = state_dict.get(f"{prefix}mean_image", self.mean_image)
-        self.mean_image = self.mean_image.new_zeros(image.shape)
+        if f"{prefix}mean_image" in state_dict:
+            image = state_dict[f"{prefix}mean_image"]
+            self.mean_image = self.mean_image.new_zeros(image.shape)
         super()._load_from_state_dict(state_dict, prefix, *rest, **named)
 
     @torch.no_grad()

@@ -59,13 +59,13 @@ def _losses(panel: "Axes", history: History) -> None:
     epochs = history.get("epoch", range(len(next(iter(history.values())))))
     for name, values in history.items():
         drawn = np.array(values, dtype=float)
-        if not name.startswith(("train/", "val/")) or not (drawn > 0).any():
+        # A share of steps is no loss.
+        if not name.startswith("train/") or name.endswith("_share") or not (drawn > 0).any():
             continue
-        style = "-" if name.startswith("train/") else "--"
         label = name.removeprefix("train/").replace("_", " ")
-        # A logarithmic axis has no place for zeros; validation may skip epochs.
+        # A logarithmic axis has no place for zeros; a term may begin late.
         shown = drawn > 0
-        panel.plot(np.array(epochs)[shown], drawn[shown], style, label=label, linewidth=1.5)
+        panel.plot(np.array(epochs)[shown], drawn[shown], label=label, linewidth=1.5)
     panel.set_yscale("log")
     panel.set_xlabel("epoch")
     plain(panel)

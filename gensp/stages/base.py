@@ -109,7 +109,7 @@ class FitStage(Stage):
         means = {
             name: float(value)
             for name, value in self.trainer.callback_metrics.items()
-            if name.startswith(("train/", "val/"))
+            if name.startswith("train/")
         }
         self.history.append({"epoch": self.current_epoch, "step": self.global_step, **means})
 

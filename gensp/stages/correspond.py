@@ -180,7 +180,13 @@ class CorrespondStage(ItemStage):
             return carried
         agreed, rows = self.rounds(self.task, self.folder, inputs)
         write_table(self.folder / "rounds.csv", rows)
-        self._kept = sum(bool(row["kept"]) for row in rows)
+        self._kept = sum(bool(row.get("kept")) for row in rows)
+        broken = sorted({str(row["id"]) for row in rows if row.get("error")})
+        if broken:
+            warn(
+                f"{', '.join(broken)}: not registered again, the images carried along the tree "
+                f"are kept; see {self.folder / 'rounds.csv'}"
+            )
         return carried | agreed
 
     def _carried_row(self, id: str, found: Correspondence) -> Row:

@@ -19,6 +19,7 @@ from gensp.models import Generator, PointNet2Encoder, jacobian, load_model, save
 from gensp.runs import Run
 from gensp.stages.base import FitStage
 from gensp.stages.latents import CloudCodes, CodeTable, draws, save_codes
+from gensp.tasks.correspond import is_input
 
 
 class GeneratorStage(FitStage):
@@ -54,7 +55,7 @@ class GeneratorStage(FitStage):
 
     def _inputs(self) -> list[int]:
         """Rows of the input shapes in the table."""
-        return [k for id, k in self.table.rows.items() if id != SPHERE and "@" not in id]
+        return [k for id, k in self.table.rows.items() if is_input(id)]
 
     def finish(self) -> dict[str, float]:
         """Put S_0 exactly at the origin; write the networks and the codes of all items."""

@@ -15,6 +15,9 @@ from gensp.losses import encoder_penalty, implicit_deformation, origin_penalty, 
 from gensp.models import ImplicitField, PointNet2Encoder, save_model
 from gensp.stages.base import FitStage
 from gensp.stages.latents import CloudCodes, CodeTable, draws, save_codes
+from gensp.terminal import warn
+
+_SHARE = "level_set_share"
 
 
 @dataclass(frozen=True)
@@ -123,6 +126,7 @@ class ImplicitStage(FitStage):
         self.log_losses(data=data, latents=latents, origin=origin)
         if self.geometric_regularization and self.current_epoch >= self.regularize_from_epoch:
             deformation = self._deformation()
+            self.log_losses(**{_SHARE: float(deformation is not None)})
             if deformation is not None:
                 loss = loss + self.deformation_weight * deformation
                 self.log_losses(deformation=deformation)
@@ -198,4 +202,16 @@ class ImplicitStage(FitStage):
             self.folder / "latents.npz", items.ids, self.encode.all(items.ids, items.clouds)
         )
         save_model(self.folder / "model.pt", encoder=self.encoder, field=self.field)
+        self._require_level_sets()
         return super().finish()
+
+    def _require_level_sets(self) -> None:
+        """Warn where Eq. 5 was asked for and never took part."""
+        name = f"train/{_SHARE}"
+        shares = [means[name] for means in self.history if name in means]
+        if shares and not any(shares):
+            warn(
+                f"{self.folder}: the field had no level set in any step of the geometric "
+                "regularisation (Eq. 5), which never took part; train for more epochs, or raise "
+                "recipe.implicit.level_sets.resolution"
+            )

@@ -56,7 +56,9 @@ class Rounds:
             for _ in run_items(again, list(images), again.folder, self.workers):
                 pass
             done = stored_rows(again.folder)
-            images |= {str(row["id"]): again.result(str(row["id"])) for row in done if row["kept"]}
+            images |= {
+                str(row["id"]): again.result(str(row["id"])) for row in done if row.get("kept")
+            }
             rows += [{"round": number, **row} for row in done]
         return images, rows
 
@@ -73,7 +75,8 @@ class RegisterAgain:
         cls, task: RegisterEdge, folder: Path, images: Mapping[str, Correspondence], rank: int
     ) -> Self:
         """Keep the sources of all shapes where the workers find them."""
-        sources = low_rank(np.stack([image.points for image in images.values()]), rank)
+        points = np.stack([image.points for image in images.values()])
+        sources = low_rank(points, np.stack([image.valid for image in images.values()]), rank)
         save_npz(folder / SOURCES, ids=np.array(list(images)), points=sources)
         return cls(task, folder)
 

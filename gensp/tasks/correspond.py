@@ -114,21 +114,33 @@ class RegisterEdge:
         return self.join(child, self.shapes.edges[child])
 
     def join(self, child: str, parent: str) -> Row:
-        """Register any `parent` to `child`; a row of diagnostics, `accepted` among them."""
+        """Register any `parent` to `child`; a row of diagnostics, `accepted` among them.
+
+        `interpolants` tells how many level sets were used of those asked for, attempt by attempt;
+        it is empty where none were.
+        """
         start = time.perf_counter()
         row: Row = {"id": child, "parent": parent}
+        between: list[str] = []
+
+        def interpolate(count: int) -> list[Mesh]:
+            found = self._between(parent, child, count)
+            between.append(f"{len(found)} of {count}")
+            return found
+
         try:
             attempts = register_with_retries(
                 self.mesh(parent),
                 self.mesh(child),
                 ladder=self.ladder,
                 acceptance=self.acceptance,
-                interpolate=lambda count: self._between(parent, child, count),
+                interpolate=interpolate,
             )
         except RegistrationFailed as error:
             row |= {"accepted": False, "attempts": len(self.ladder), "complaints": str(error)}
+            row["interpolants"] = "; ".join(between)
         else:
-            row |= _diagnostics(attempts)
+            row |= _diagnostics(attempts) | {"interpolants": "; ".join(between)}
             save_npz(edge_path(self.folder, child), vertices=attempts.best.vertices, **row)
         return row | {"seconds": round(time.perf_counter() - start, 3)}
 

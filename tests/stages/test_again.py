@@ -7,6 +7,7 @@ import pytest
 
 from gensp.compute import Workers
 from gensp.data.items import item_path
+from gensp.errors import BadMesh
 from gensp.files import load_npz, save_npz
 from gensp.geometry.correspondence import Correspondence, correspondence
 from gensp.geometry.distance import closest_point
@@ -85,6 +86,19 @@ def test_a_registration_out_of_bounds_leaves_the_carried_image(
     assert agreed["b"] is carried["b"]
     assert [row["kept"] for row in rows] == [True, False]
     assert rows[1]["complaints"]
+
+
+def test_a_shape_in_error_keeps_the_carried_image(
+    task: RegisterEdge, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(self: RegisterEdge, id: str) -> Mesh:
+        raise BadMesh(f"{id}: is broken")
+
+    carried = {id: turned(id, 0.0) for id in "ab"}
+    monkeypatch.setattr(RegisterEdge, "mesh", broken)
+    agreed, rows = Rounds(count=2, workers=Workers(jobs=1))(task, tmp_path, carried)
+    assert all(agreed[id] is carried[id] for id in "ab")
+    assert [row["error"] for row in rows] == ["a: is broken", "b: is broken"] * 2
 
 
 def test_no_round_changes_nothing(task: RegisterEdge, tmp_path: Path) -> None:

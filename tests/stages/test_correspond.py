@@ -227,6 +227,7 @@ def test_an_edge_leaves_its_numbers(inputs: dict[str, Run], tmp_path: Path) -> N
     assert row["parent"] == "a@1"
     assert row["accepted"] is True
     assert row["attempts"] == 1
+    assert row["interpolants"] == ""
     assert {"residual", "coverage", "fold_rate", "converged", "iterations", "seconds"} <= set(row)
     edge = load_npz(tmp_path / "correspond" / "edges" / "a.npz")
     assert edge["vertices"].shape == SHAPES["a@1"].vertices.shape
@@ -253,6 +254,11 @@ def test_interpolants_are_level_sets_of_the_implicit_model(
     assert np.abs(np.linalg.norm(between[0].vertices, axis=1) - 1).max() < 0.05
     row = task("a")
     assert row["iterations"] > 7
+    assert row["interpolants"] == "2 of 2"
+    # One that has no level set inside the box.
+    field.trunk.last.bias.data.fill_(50.0)
+    save_model(inputs["implicit"].folder / "model.pt", field=field)
+    assert task("b")["interpolants"] == "0 of 2"
 
 
 def test_the_task_travels_to_workers(inputs: dict[str, Run], tmp_path: Path) -> None:

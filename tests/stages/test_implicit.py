@@ -88,6 +88,7 @@ def test_stage_leaves_networks_codes_and_history(tmp_path: Path) -> None:
     stage = fit(implicit_stage(tmp_path), data, 3)
     assert np.isfinite(stage.history[-1]["train/deformation"])
     assert "train/deformation" not in stage.history[0]
+    assert stage.history[-1]["train/level_set_share"] == 1
     stage.finish()
     latents = load_npz(tmp_path / "latents.npz")
     assert latents["ids"].tolist() == ["sphere", "ellipsoid0", "ellipsoid1"]
@@ -130,10 +131,16 @@ def test_regulariser_lowers_the_deformation_between_shapes(tmp_path: Path) -> No
     assert ratios[1] < ratios[0]
 
 
-def test_level_set_that_does_not_exist_yet_is_left_out(tmp_path: Path) -> None:
+def test_level_set_that_does_not_exist_yet_is_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     stage = implicit_stage(tmp_path, regularize_from_epoch=0)
     with torch.no_grad():
         stage.field.trunk.last.bias.fill_(50.0)
     fit(stage, sdf_module(tmp_path), 1)
     assert "train/deformation" not in stage.history[0]
     assert np.isfinite(stage.history[0]["train/data"])
+    assert stage.history[0]["train/level_set_share"] == 0
+    stage.finish()
+    assert "warning" in (said := capsys.readouterr().out)
+    assert "never took part" in " ".join(said.split())
