@@ -8,7 +8,9 @@ import typer
 Out = Annotated[Path, typer.Option(help="Folder for the files.")]
 Method = Annotated[
     str | None,
-    typer.Option(help="Method for a mesh: dirichlet (default), stretch, ahsp, cmcf. None is trained."),
+    typer.Option(
+        help="Method for a mesh: dirichlet (default), stretch, ahsp, cmcf. None is trained."
+    ),
 ]
 Checkpoint = Annotated[
     Path | None,
