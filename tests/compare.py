@@ -84,4 +84,5 @@ def _timeless_page(html: str) -> list[list[str]]:
     page = re.sub(r"<section><h2>How it was made</h2>.*?</section>", "", html, flags=re.DOTALL)
     page = re.sub(r"<b>[^<]*</b><span>seconds</span>", "", page)
     page = re.sub(r"</t[hd]><t[hd][^>]*>", " | ", page)
-    return _timeless_tables(re.sub(r"(</?(?:table|tr)[^>]*>|</?t[hd][^>]*>)", r"\n", page))
+    lines = re.sub(r"</?(?:table|thead|tbody|tr|th|td)\b[^>]*>", "\n", page)
+    return _timeless_tables(re.sub(r"\n+", "\n", lines))

@@ -10,7 +10,7 @@ from gensp.export.polygons import write_ply
 from gensp.export.wavefront import write_obj
 from gensp.geometry.diagnosis import Diagnosis, diagnose
 from gensp.geometry.distance import hausdorff
-from gensp.geometry.mesh import FORMATS, Mesh, load_mesh, require_genus_zero, save_mesh
+from gensp.geometry.mesh import FORMATS, MAX_FACES, Mesh, load_mesh, require_genus_zero, save_mesh
 from gensp.geometry.repair import Repaired, bounding_diagonal, repair, sane
 
 
@@ -38,7 +38,7 @@ def mended(
         return _remeshed(path, sane(mesh), resolution, vertices)
     found: Repaired = repair(mesh, largest_hole=largest_hole)
     try:
-        require_genus_zero(found.mesh, max_faces=max(200_000, len(mesh.faces)))
+        require_genus_zero(found.mesh, max_faces=max(MAX_FACES, len(mesh.faces)))
     except BadMesh as error:
         left = ", ".join(what for what, _ in diagnose(found.mesh).findings) or str(error)
         words = shlex.join(["gensp", "repair", str(path), "OUT", "--remesh"])
@@ -53,7 +53,7 @@ def _remeshed(path: Path, mesh: Mesh, resolution: int, vertices: int) -> Mended:
     from gensp.geometry.solid import solid_surface
 
     solid = solid_surface(mesh, resolution=resolution, vertices=vertices)
-    require_genus_zero(solid.mesh, max_faces=max(200_000, len(solid.mesh.faces)))
+    require_genus_zero(solid.mesh, max_faces=max(MAX_FACES, len(solid.mesh.faces)))
     steps = {"remeshed on a grid of": f"{resolution} cells"}
     if solid.radius:
         steps["handles closed by a ball of"] = f"{solid.radius:g} diagonals"

@@ -16,10 +16,10 @@ import numpy as np
 
 from gensp.data.blobs import BlobFamily, generate_blobs
 from gensp.data.ground_truth import GroundTruth, load_ground_truth, load_keypoints
-from gensp.data.validation import MAX_FACES, checked
+from gensp.data.validation import checked
 from gensp.errors import MissingData, Unsupported
 from gensp.files import content_hash
-from gensp.geometry.mesh import FORMATS, Mesh, load_mesh
+from gensp.geometry.mesh import FORMATS, MAX_FACES, Mesh, load_mesh
 
 SPLITS = ("train", "val", "test")
 SPHERE = "sphere"

@@ -11,7 +11,6 @@ from gensp.errors import BadMesh, MissingData, Unsupported
 from gensp.files import read_json, write_json
 from gensp.geometry.mesh import load_mesh, require_genus_zero
 
-MAX_FACES = 200_000
 _RECORD = "genus_zero.json"
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Int
 from scipy.sparse.csgraph import connected_components
 
 from gensp.errors import BadMesh
-from gensp.geometry.mesh import Mesh, require_genus_zero, signed_volume
+from gensp.geometry.mesh import MAX_FACES, Mesh, require_genus_zero, signed_volume
 
 _SINGULAR = {"vertices": "vertex", "edges": "edge", "faces": "face", "holes": "hole"}
 REPAIR, REMESH = "gensp repair", "gensp repair --remesh"
@@ -99,7 +99,7 @@ class Diagnosis:
         ]
 
 
-def diagnose(mesh: Mesh, *, max_faces: int = 200_000) -> Diagnosis:
+def diagnose(mesh: Mesh, *, max_faces: int = MAX_FACES) -> Diagnosis:
     """Count what is wrong with a mesh; never raises for what it finds."""
     known = (mesh.faces >= 0).all(axis=1) & (mesh.faces < len(mesh.vertices)).all(axis=1)
     finite = np.isfinite(mesh.vertices).all(axis=1)

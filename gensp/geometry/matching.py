@@ -106,6 +106,8 @@ def aligning_rotation(source: SphericalMap, target: SphericalMap) -> Float[np.nd
     The descriptors of both shapes are compared under rotations that cover SO(3) evenly (Alexa
     2022, "Super-Fibonacci spirals"); the best are refined (Nelder & Mead 1965). It does not
     depend on the position, rotation or scale of either shape.
+    `rotation_registration.register_rotation` compares the density of area alone, by one FFT; here
+    the distance from the centroid is compared too, at the price of seconds.
     """
     coarse, starts = icosphere(_COARSE).vertices, _rotations(_STARTS)
     own = descriptors(source, coarse)

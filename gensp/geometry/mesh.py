@@ -17,6 +17,7 @@ from gensp.files import atomic_path
 from gensp.geometry.wavefront import read_obj
 
 FORMATS = (".ply", ".obj", ".off", ".stl")
+MAX_FACES = 200_000  # larger meshes are refused unless asked for
 SPHERE_AREA = 4 * np.pi
 
 
@@ -116,7 +117,7 @@ def save_mesh(mesh: Mesh, path: Path | str) -> None:
         trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(temporary)
 
 
-def require_genus_zero(mesh: Mesh, *, max_faces: int = 200_000) -> None:
+def require_genus_zero(mesh: Mesh, *, max_faces: int = MAX_FACES) -> None:
     """Check that a mesh is one closed, oriented, genus-0 manifold with sound triangles.
 
     Raises
