@@ -39,7 +39,7 @@ ALLOWED["run"] = set(ALLOWED)
 # For one mesh: beside the stages, neither imports the other.
 ALLOWED["api"] = CORE | {"geometry", "methods"}
 ALLOWED["export"] = CORE | {"geometry"}
-ALLOWED["cli"] = CORE | {"geometry", "methods", "api", "export", "pictures"}
+ALLOWED["cli"] = CORE | {"compiled", "geometry", "methods", "api", "export", "pictures"}
 ALLOWED["__main__"] = {"cli"}
 
 LIGHTNING = {"stages", "data.modules", "data.training", "terminal", "run"}

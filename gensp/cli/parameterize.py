@@ -39,10 +39,11 @@ def parameterize(
     doubles px py pz) and <stem>_sphere.obj.
     """
     from gensp.cli.inputs import chosen_method, sound_mesh
-    from gensp.cli.terminal import two_columns, written
+    from gensp.cli.terminal import tell_of_compiling, two_columns, written
 
     began = time.perf_counter()
     surface = sound_mesh(mesh)
+    tell_of_compiling()
     map = chosen_method(method, checkpoint, register)(surface)
     seconds = time.perf_counter() - began
     paths = _write_map(map, out)

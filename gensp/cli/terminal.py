@@ -30,3 +30,11 @@ def show_table(title: str, header: Sequence[str], rows: Iterable[Sequence[str]])
 def written(paths: Iterable[Path]) -> tuple[str, str]:
     """A row that names files."""
     return "written", "\n".join(str(path) for path in paths)
+
+
+def tell_of_compiling() -> None:
+    """One line on stderr before the first call ever, which waits for the compiler."""
+    from gensp.compiled import kept
+
+    if not kept():
+        Console(stderr=True).print("compiling the inner loops: once, about half a minute")

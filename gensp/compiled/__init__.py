@@ -16,3 +16,8 @@ _DIGEST = hashlib.sha256(b"".join(path.read_bytes() for path in _SOURCES)).hexdi
 
 if not config.CACHE_DIR:
     config.CACHE_DIR = str(Path(__file__).parent / "__pycache__" / _DIGEST)
+
+
+def kept() -> bool:
+    """Whether the loops have been compiled before, so that a call does not wait for it."""
+    return any(Path(config.CACHE_DIR).rglob("*.nbi"))
