@@ -147,7 +147,14 @@ class BendingSystem:
         )
         self._diagonal = np.searchsorted(keys, np.arange(n) * (n + 1))
         everywhere = Pull(_corners(source), source.vertices, np.ones(n))
-        self._solver = SPDSolver(self._matrix([everywhere], 1.0), source.vertices)
+        try:
+            self._solver = SPDSolver(self._matrix([everywhere], 1.0), source.vertices)
+        except np.linalg.LinAlgError as error:
+            flat = int((source.face_areas <= 0).sum())
+            raise RegistrationFailed(
+                f"{source.name}: the source of the registration cannot be bent ({error}); "
+                f"triangles with area are required, {flat} have none; remesh it"
+            ) from error
 
     def step(
         self, vertices: Float[np.ndarray, "n 3"], pulls: Sequence[Pull], stiffness: float

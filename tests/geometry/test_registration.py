@@ -205,3 +205,10 @@ def test_resolutions_may_differ(bumpy: Mesh) -> None:
     assert len(result.vertices) == len(coarse.vertices)
     assert result.residual < 0.005
     assert result.fold_rate == 0
+
+
+def test_a_source_with_a_flat_triangle_is_refused_in_one_line(bumpy):
+    flat = bumpy.vertices.copy()
+    flat[bumpy.faces[0]] = flat[bumpy.faces[0]].mean(axis=0)
+    with pytest.raises(RegistrationFailed, match="have none"):
+        register(bumpy.with_vertices(flat), [bumpy])
