@@ -24,18 +24,18 @@ from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.refine import reliability
 from gensp.geometry.sphere import icosphere_of
 from gensp.geometry.spherical_map import SphericalMap
-from gensp.methods.refinement import CertifiedRefinement, NoRefinement
+from gensp.methods.refinement import CertifiedRefinement
 from gensp.pictures.curves import figure, save_figure
 
-GAMMAS = (0.0, 1.0, 10.0, 30.0, 100.0, 300.0)
+GAMMAS = (1.0, 10.0, 30.0, 100.0, 300.0)
 FLOOR = 0.3
 
 
 def maps(
-    run: Path, collection: ShapeCollection, gamma: float | None, floor: float
+    run: Path, collection: ShapeCollection, gamma: float, floor: float
 ) -> dict[str, SphericalMap]:
-    """The maps of all predicted shapes at one γ; None: the predictions as they are."""
-    refine = NoRefinement() if gamma is None else CertifiedRefinement(pull=gamma, floor=floor)
+    """The maps of all predicted shapes at one γ."""
+    refine = CertifiedRefinement(pull=gamma, floor=floor)
     found = {}
     for id in collection.ids():
         path = run / "predictions" / f"{id}.npz"
@@ -63,13 +63,13 @@ def errors(found: dict[str, SphericalMap], collection: ShapeCollection) -> Itera
             yield (there + correspondence_error(b, a, at_b, at_a, turn).mean()) / 2
 
 
-def line(run: Path, collection: ShapeCollection, gamma: float | None, floor: float) -> dict:
+def line(run: Path, collection: ShapeCollection, gamma: float, floor: float) -> dict:
     """One line of the table."""
     found = maps(run, collection, gamma, floor)
     distortions = [map.distortion() for map in found.values()]
     rungs = [map.diagnostics["rung"] for map in found.values()]
     return {
-        "gamma": "prediction" if gamma is None else gamma,
+        "gamma": gamma,
         "shapes": len(found),
         "error": float(np.mean(list(errors(found, collection)))),
         "sigma_mean": float(np.mean([d.mean for d in distortions])),
@@ -86,17 +86,13 @@ def draw(lines: list[dict], path: Path, title: str) -> None:
     """Mean σ against error, one point for every γ."""
     drawing = figure(6, 4)
     panel = drawing.subplots()
-    refined = [row for row in lines if row["gamma"] != "prediction"]
-    panel.plot([r["error"] for r in refined], [r["sigma_mean"] for r in refined], "o-")
-    for row in refined:
+    panel.plot([r["error"] for r in lines], [r["sigma_mean"] for r in lines], "o-")
+    for row in lines:
         panel.annotate(
             f"γ = {row['gamma']:g}", (row["error"], row["sigma_mean"]), (6, 4),
             textcoords="offset points",
         )  # fmt: skip
-    raw = next(row["error"] for row in lines if row["gamma"] == "prediction")
-    panel.axvline(raw, color="grey", linestyle=":", label="prediction, folds and all")
     panel.set(xlabel="error / √area, no rotation", ylabel="mean σ", title=title)
-    panel.legend()
     save_figure(drawing, path)
 
 
@@ -118,7 +114,7 @@ def main() -> None:
     words = parser.parse_args()
     collection = ShapeCollection.from_folder(words.collection)
     lines = []
-    for gamma in (None, *GAMMAS):
+    for gamma in GAMMAS:
         lines.append(line(words.run, collection, gamma, words.floor))
         print(lines[-1], flush=True)  # noqa: T201
         write(lines, words.out.with_suffix(".csv"))

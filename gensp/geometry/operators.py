@@ -39,12 +39,15 @@ def clamped_laplacian(mesh: Mesh) -> sp.csc_matrix:
     """Cotangent stiffness with every edge weight at least 1e-3 of the median weight.
 
     A Laplacian of positive weights is definite on each component whatever the triangles' angles,
-    which the plain one is not for elastic energies on obtuse triangles.
+    which the plain one is not for elastic energies on obtuse triangles. A triangle without area
+    has no cotangents: its edges get the least weight.
     """
     weights = sp.coo_matrix(-cotangent_laplacian(mesh))
     off = weights.row != weights.col
     i, j, w = weights.row[off], weights.col[off], weights.data[off]
-    return weighted_laplacian(i, j, np.maximum(w, _SMALLEST_WEIGHT * np.median(np.abs(w))))
+    finite = np.isfinite(w)
+    least = _SMALLEST_WEIGHT * np.median(np.abs(w[finite]))
+    return weighted_laplacian(i, j, np.maximum(np.where(finite, w, 0), least))
 
 
 def weighted_laplacian(

@@ -207,8 +207,10 @@ def test_resolutions_may_differ(bumpy: Mesh) -> None:
     assert result.fold_rate == 0
 
 
-def test_a_source_with_a_flat_triangle_is_refused_in_one_line(bumpy):
+def test_a_flat_triangle_of_the_source_has_no_stiffness(bumpy):
+    """A source that is flat in one place registers to itself all the same."""
     flat = bumpy.vertices.copy()
     flat[bumpy.faces[0]] = flat[bumpy.faces[0]].mean(axis=0)
-    with pytest.raises(RegistrationFailed, match="have none"):
-        register(bumpy.with_vertices(flat), [bumpy])
+    found = register(bumpy.with_vertices(flat), [bumpy])
+    assert np.isfinite(found.vertices).all()
+    assert found.residual < 0.01
