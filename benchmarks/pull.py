@@ -92,6 +92,7 @@ def draw(lines: list[dict], path: Path, title: str) -> None:
             f"γ = {row['gamma']:g}", (row["error"], row["sigma_mean"]), (6, 4),
             textcoords="offset points",
         )  # fmt: skip
+    panel.margins(0.12)
     panel.set(xlabel="error / √area, no rotation", ylabel="mean σ", title=title)
     save_figure(drawing, path)
 
