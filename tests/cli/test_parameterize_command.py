@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 from conftest import Refused, Run
 from PIL import Image
@@ -136,7 +137,10 @@ def test_model_from_a_file(gensp: Run, bumpy: Mesh, bumpy_file: Path, tmp_path: 
 
     from gensp.models import save_model
 
-    save_model(tmp_path / "model.pt", **networks())
+    trained = networks()
+    with torch.no_grad():
+        trained["encoder"].set_origin(torch.randn(2, 96, 3))
+    save_model(tmp_path / "model.pt", **trained)
     words = ("--checkpoint", tmp_path / "model.pt", "--out", tmp_path / "out")
     code, said, _ = gensp("parameterize", bumpy_file, *words)
     assert code == 0
