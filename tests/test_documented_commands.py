@@ -18,7 +18,8 @@ INLINE = re.compile(r"`(python train\.py[^`]*)`")
 def shown(page: Path) -> list[str]:
     """Commands of a page, in fences and in the text, comments left out."""
     text = page.read_text()
-    lines = [line for block in FENCED.findall(text) for line in block.splitlines()]
+    blocks = [block.replace("\\\n", " ") for block in FENCED.findall(text)]
+    lines = [line for block in blocks for line in block.splitlines()]
     lines += [" ".join(found.split()) for found in INLINE.findall(FENCED.sub("", text))]
     return [line for line in lines if line.startswith("python train.py")]
 

@@ -20,6 +20,8 @@ def model(tmp_path) -> Path:
     """Untrained networks of the product's kind."""
     torch.manual_seed(0)
     encoder = PointNet2Encoder(6, width=8, groups=((32, 8), (8, 4)))
+    with torch.no_grad():
+        encoder.set_origin(torch.randn(2, 96, 3))
     generator = AnchoredGenerator(6, rank=2, width=16, depth=2)
     torch.nn.init.normal_(generator.trunk.last.weight, std=0.05)
     save_model(tmp_path / "model.pt", encoder=encoder, generator=generator)
