@@ -26,12 +26,15 @@ _ATTEMPTS = ((1.0, 0.0), (0.7, 0.0), (0.7, 0.5))
 _SMALLEST_AREA = 1e-4
 
 
-def sound_mesh(mesh: Mesh, vertices: int, *, smallest_angle: float) -> tuple[Mesh, bool]:
+def sound_mesh(
+    mesh: Mesh, vertices: int, *, smallest_angle: float, unfolded: bool = True
+) -> tuple[Mesh, bool]:
     """About `vertices` vertices of a shape, by edge collapses or, if need be, by remeshing.
 
     Edge collapses remove triangles that have shrunk, so the shape's own triangulation often
     survives; it is given up where a triangle without area, a fold or an angle below
-    `smallest_angle` (degrees) is left.
+    `smallest_angle` (degrees) is left. A crease that a scan itself has is no fault of it: with
+    `unfolded=False` folds are not looked for, unless it has to be remeshed anyway.
 
     Returns
     -------
@@ -51,7 +54,7 @@ def sound_mesh(mesh: Mesh, vertices: int, *, smallest_angle: float) -> tuple[Mes
         return remesh_geometry(mesh, vertices=vertices), True
     level = own.face_areas.min() / own.face_areas.mean()
     shaped = level > _SMALLEST_AREA and smallest_triangle_angle(own) >= smallest_angle
-    if shaped and not folded_faces(own).any():
+    if shaped and not (unfolded and folded_faces(own).any()):
         return own, False
     return remesh_geometry(mesh, vertices=vertices), True
 

@@ -56,7 +56,10 @@ class AugmentTask:
         """Do all of it for the shape `item`; see the stage for the columns of the row."""
         start = time.perf_counter()
         mesh = self.collection.mesh(item)
-        own, remeshed = sound_mesh(mesh, self.training_vertices, smallest_angle=self.input_angle)
+        # Folds are what a flow may do to a shape; sharp creases of an input are its own.
+        own, remeshed = sound_mesh(
+            mesh, self.training_vertices, smallest_angle=self.input_angle, unfolded=False
+        )
         own = normalize(own)
         save_npz(item_path(self.folder, item), vertices=own.vertices, faces=own.faces, t=0.0)
         row: Row = {"id": item, "split": self.collection.shape(item).split}

@@ -100,3 +100,11 @@ def test_a_flow_with_a_fold_is_unsound(bumpy):
     folded = [folded_faces(Mesh(vertices, flow.faces)).any() for vertices in flow.vertices]
     assert folded[1]
     np.testing.assert_array_equal(flow.sound[1:], ~np.array(folded[1:]))
+
+
+def test_creases_of_an_input_are_its_own(bumpy):
+    """What is damage on the way to the sphere is kept where it is the scan's."""
+    creased = swapped(bumpy, 300)
+    mesh, remeshed = sound_mesh(creased, 642, smallest_angle=0.1, unfolded=False)
+    assert not remeshed
+    np.testing.assert_array_equal(mesh.vertices, creased.vertices)
