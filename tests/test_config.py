@@ -134,7 +134,7 @@ def test_recipes_have_the_same_keys() -> None:
         name: keys_of(OmegaConf.to_container(composed(f"recipe={name}").recipe))
         for name in choices("recipe")
     }
-    assert set(recipes) == {"paper", "quick", "quick_quadrupeds", "smoke"}
+    assert set(recipes) == {"paper", "quick", "cpu", "smoke"}
     for name, keys in recipes.items():
         assert keys == recipes["paper"], name
 

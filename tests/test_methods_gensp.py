@@ -9,6 +9,7 @@ from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.sphere import icosphere
 from gensp.geometry.spherical_map import SphericalMap
 from gensp.methods import SphericalParameterization
+from gensp.methods.fitting import Known, SurfaceOnSphere
 from gensp.methods.gensp import GenSP
 from gensp.models import AnchoredGenerator, PointNet2Encoder, save_model
 
@@ -21,7 +22,7 @@ def networks() -> dict:
     return {"encoder": encoder, "generator": generator}
 
 
-def unfitted(generated: Mesh, mesh: Mesh) -> Mesh:
+def unfitted(generated: SurfaceOnSphere, mesh: Mesh, known: Known) -> SurfaceOnSphere:
     return generated
 
 
@@ -33,9 +34,9 @@ def unrefined(
     return SphericalMap(start, mesh.vertices, mesh.faces, mesh.name, {"rung": "none"})
 
 
-def onto(generated: Mesh, mesh: Mesh) -> Mesh:
+def onto(generated: SurfaceOnSphere, mesh: Mesh, known: Known) -> SurfaceOnSphere:
     """A registration that knows the answer: the mesh is a stretched icosphere itself."""
-    return generated.with_vertices(mesh.vertices.copy())
+    return SurfaceOnSphere(mesh, generated.sphere)
 
 
 SETTINGS = {"fit": unfitted, "refine": unrefined, "level": 3, "points": 128, "draws": 8}

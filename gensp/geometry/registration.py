@@ -27,6 +27,7 @@ __all__ = [
     "Attempts",
     "Registration",
     "RegistrationSettings",
+    "approached",
     "folded",
     "register",
     "register_with_retries",
@@ -47,6 +48,9 @@ class Registration:
         Distance of the target's vertices to the registered surface: a missed limb shows here.
     fold_rate
         Share of registered faces that oppose the target's normal or have no area.
+    strain
+        ARAP energy over that of collapsing the source to a point: what the bending cost. Of two
+        registrations that both fit, the less strained one is nearer to the true correspondence.
     """
 
     vertices: Float[np.ndarray, "n 3"]
@@ -55,6 +59,7 @@ class Registration:
     coverage: float
     coverage_max: float
     fold_rate: float
+    strain: float
     converged: bool
     iterations: int
 
@@ -92,16 +97,34 @@ class Attempts:
 
 
 def register(
-    source: Mesh, targets: Sequence[Mesh], *, settings: RegistrationSettings | None = None
+    source: Mesh,
+    targets: Sequence[Mesh],
+    *,
+    settings: RegistrationSettings | None = None,
+    start: Float[np.ndarray, "n 3"] | None = None,
 ) -> Registration:
     """Bend `source` through the interpolants onto the last of `targets`.
 
     Returns positions for the source's own vertices: the target remeshed with the connectivity
-    of the source. Both must already lie in a common frame.
+    of the source. Both must already lie in a common frame. `start` are positions of the source's
+    vertices to begin at; the source itself stays the shape that is bent as little as possible.
     """
     settings = settings or RegistrationSettings()
     bending = BendingSystem(source, settings)
-    vertices, motion, steps = source.vertices, np.inf, 0
+    return approached(
+        source, targets, settings, bending, source.vertices if start is None else start
+    )
+
+
+def approached(
+    source: Mesh,
+    targets: Sequence[Mesh],
+    settings: RegistrationSettings,
+    bending: BendingSystem,
+    start: Float[np.ndarray, "n 3"],
+) -> Registration:
+    """`register` with the source's system at hand: several starts share it."""
+    vertices, motion, steps = start, np.inf, 0
     for left, target in zip(reversed(range(len(targets))), targets, strict=True):
         pulls = ClosestPointPulls(target, settings)
         schedule = settings.approach if left else settings.schedule
@@ -111,7 +134,8 @@ def register(
             motion = float(np.sqrt(np.square(vertices - previous).sum(axis=1).mean()))
             steps += 1
     converged = motion <= settings.tolerance * scale_of(targets[-1])
-    return _assess(source.with_vertices(vertices), targets[-1], converged, steps)
+    moved = source.with_vertices(vertices)
+    return _assess(moved, targets[-1], bending.strain(vertices), converged, steps)
 
 
 def register_with_retries(
@@ -154,7 +178,9 @@ def _steps(schedule: Schedule) -> Iterator[float]:
         yield from [stiffness] * int(count)
 
 
-def _assess(moved: Mesh, target: Mesh, converged: bool, iterations: int) -> Registration:
+def _assess(
+    moved: Mesh, target: Mesh, strain: float, converged: bool, iterations: int
+) -> Registration:
     size, tree = scale_of(target), ClosestPointTree(target)
     residual = tree.query(moved.vertices).distance / size
     coverage = ClosestPointTree(moved).query(target.vertices).distance / size
@@ -166,6 +192,7 @@ def _assess(moved: Mesh, target: Mesh, converged: bool, iterations: int) -> Regi
         coverage=float(coverage.mean()),
         coverage_max=float(coverage.max()),
         fold_rate=float(folded(moved, target.face_normals[centres.at.faces]).mean()),
+        strain=strain,
         converged=bool(converged and np.isfinite(moved.vertices).all()),
         iterations=iterations,
     )

@@ -43,6 +43,8 @@ class RegistrationSettings:
         Weight of staying where the step began; it only fixes what nothing else pulls.
     tolerance
         Converged when the root mean square motion of the last step is below it.
+    posing
+        (ARAP stiffness, steps) towards the positions of a guide, before closest points pull.
     """
 
     schedule: Schedule = (
@@ -64,6 +66,7 @@ class RegistrationSettings:
     relaxation_until: float = 1.0
     damping: float = 1e-6
     tolerance: float = 0.01
+    posing: Schedule = ((100.0, 20), (30.0, 10))
 
 
 def scale_of(mesh: Mesh) -> float:
@@ -93,7 +96,7 @@ class ClosestPointPulls:
         normals = found.at.on(self._target.vertex_normals, self._target.faces)
         agree = _agree(moving.vertex_normals, normals, self._settings)
         weights = agree * self._robust(found.distance)
-        pulls = [Pull(_corners(moving), found.points, weights)]
+        pulls = [Pull(corners(moving), found.points, weights)]
         return [*pulls, self._reverse(moving)] if self._settings.two_sided else pulls
 
     def _reverse(self, moving: Mesh) -> Pull:
@@ -117,7 +120,7 @@ def _agree(
     return np.einsum("kj,kj->k", a, b) > settings.normal_agreement
 
 
-def _corners(mesh: Mesh) -> SurfacePoints:
+def corners(mesh: Mesh) -> SurfacePoints:
     """Every vertex as a point of one of its faces."""
     face = np.empty(len(mesh.vertices), dtype=np.int64)
     face[mesh.faces] = np.arange(len(mesh.faces))[:, None]
@@ -146,7 +149,8 @@ class BendingSystem:
             slots[blocks.size :], weights=laplacian.data, minlength=len(keys)
         )
         self._diagonal = np.searchsorted(keys, np.arange(n) * (n + 1))
-        everywhere = Pull(_corners(source), source.vertices, np.ones(n))
+        self.corners = corners(source)
+        everywhere = Pull(self.corners, source.vertices, np.ones(n))
         try:
             self._solver = SPDSolver(self._matrix([everywhere], 1.0), source.vertices)
         except np.linalg.LinAlgError as error:
@@ -172,6 +176,10 @@ class BendingSystem:
             ) from error
         relaxed = stiffness >= self._settings.relaxation_until
         return start + (self._settings.relaxation if relaxed else 1.0) * (end - start)
+
+    def strain(self, vertices: Float[np.ndarray, "n 3"]) -> float:
+        """ARAP energy of bent vertices over the energy of collapsing the source to a point."""
+        return self._arap.energy(vertices) / self._arap.edge_energy
 
     def _right_side(
         self, start: Float[np.ndarray, "n 3"], pulls: Sequence[Pull], stiffness: float

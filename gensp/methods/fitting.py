@@ -1,6 +1,7 @@
 """Fitting a generated surface to the shape it stands for, before the map is read off it."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,12 +10,40 @@ from jaxtyping import Float
 from gensp.geometry.mesh import Mesh, simplify
 from gensp.geometry.registration import RegistrationSettings, register
 from gensp.geometry.sphere import icosphere
+from gensp.models.atlas import Atlas
+
+
+@dataclass(frozen=True)
+class SurfaceOnSphere:
+    """A surface near a shape, and unit positions (k, 3) of its vertices on the sphere."""
+
+    mesh: Mesh
+    sphere: Float[np.ndarray, "k 3"]
+
+
+@dataclass(frozen=True)
+class Known:
+    """What a model knows of the shape to be fitted, and of others.
+
+    Attributes
+    ----------
+    code
+        Latent code (d,) of the shape.
+    generate
+        g(z, ·) at unit positions (n, 3).
+    atlas
+        The shapes learnt from, if the model keeps them.
+    """
+
+    code: Float[np.ndarray, " d"]
+    generate: Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, "n 3"]]
+    atlas: Atlas | None = None
 
 
 class NoFit:
     """The generated surface as it is: the paper's own map."""
 
-    def __call__(self, generated: Mesh, mesh: Mesh) -> Mesh:
+    def __call__(self, generated: SurfaceOnSphere, mesh: Mesh, known: Known) -> SurfaceOnSphere:
         """The generated surface."""
         return generated
 
@@ -47,7 +76,7 @@ class RegisterFit:
         self.level = level
         self.settings = RegistrationSettings(**(registration or {}))
 
-    def __call__(self, generated: Mesh, mesh: Mesh) -> Mesh:
+    def __call__(self, generated: SurfaceOnSphere, mesh: Mesh, known: Known) -> SurfaceOnSphere:
         """The generated surface bent onto the shape.
 
         Raises
@@ -55,10 +84,12 @@ class RegisterFit:
         RegistrationFailed
             The registration diverged.
         """
-        coarse = self._coarse(generated)
+        surface = generated.mesh
+        coarse = self._coarse(surface)
         fitted = register(coarse, [simplify(mesh, self.vertices)], settings=self.settings)
-        displacement = prolong(fitted.vertices - coarse.vertices, len(generated.vertices))
-        return generated.with_vertices(generated.vertices + displacement)
+        displacement = prolong(fitted.vertices - coarse.vertices, len(surface.vertices))
+        bent = surface.with_vertices(surface.vertices + displacement)
+        return SurfaceOnSphere(bent, generated.sphere)
 
     def _coarse(self, generated: Mesh) -> Mesh:
         """The nested icosphere image of the level that is registered."""

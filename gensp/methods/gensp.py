@@ -16,11 +16,11 @@ from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.refine import invert, reliability
 from gensp.geometry.sphere import icosphere
 from gensp.geometry.spherical_map import SphericalMap
-from gensp.methods.fitting import prolong
-from gensp.models import Generator, PointNet2Encoder, load_model
+from gensp.methods.fitting import Known, SurfaceOnSphere, prolong
+from gensp.models import Atlas, Generator, PointNet2Encoder, load_model
 
 T = TypeVar("T")
-Fit = Callable[[Mesh, Mesh], Mesh]
+Fit = Callable[[SurfaceOnSphere, Mesh, Known], SurfaceOnSphere]
 Refinement = Callable[[Mesh, np.ndarray, np.ndarray, np.ndarray], SphericalMap]
 
 
@@ -34,7 +34,8 @@ class GenSP:
     level
         Icosphere whose image under the generator is inverted; level 6 has 40,962 vertices.
     fit
-        Called with the generated surface and the mesh; gives the generated surface to invert.
+        Called with the generated surface, the mesh, and what the model knows; gives the surface to
+        invert.
     refine
         Called with the mesh, a start and a target on the sphere (n, 3), and how far the target
         can be trusted (n,); gives the final map.
@@ -42,6 +43,8 @@ class GenSP:
         Size of the encoder's cloud; by default as in training.
     draws
         Number of clouds whose codes are averaged; by default as in training.
+    atlas
+        The shapes learnt from, where the model keeps them: what `fit` may start from.
     own
         The surface that is fitted is the one generated at the shape's own code (1), the mean
         image of the shapes learnt from (0), or between. What all shapes share has no bias of its
@@ -66,10 +69,11 @@ class GenSP:
         points: int | None = None,
         draws: int | None = None,
         own: float = 1.0,
+        atlas: Atlas | None = None,
     ) -> None:
         self.encoder, self.generator = encoder.eval(), generator.eval()
         self.fit, self.refine = fit, refine
-        self.level, self.own = level, own
+        self.level, self.own, self.atlas = level, own, atlas
         self.points = _told("points", points, encoder)
         self.draws = _told("draws", draws, encoder)
 
@@ -83,7 +87,7 @@ class GenSP:
             The file holds no encoder and generator.
         """
         networks = load_model(path)
-        if networks.keys() != {"encoder", "generator"}:
+        if networks.keys() - {"atlas"} != {"encoder", "generator"}:
             raise Unsupported(
                 f"{path}: holds {', '.join(networks)}; encoder and generator are required; name "
                 "the model.pt of stage=finetune or initialize"
@@ -97,13 +101,19 @@ class GenSP:
         code: np.ndarray = self.encoder(clouds).mean(dim=0).numpy()
         return code
 
-    @torch.no_grad()
     def generate(self, code: Float[np.ndarray, " d"], level: int | None = None) -> Mesh:
         """The image of the icosphere under g(z, ·), a mesh with the icosphere's faces."""
         ball = icosphere(self.level if level is None else level)
-        p = torch.from_numpy(ball.vertices.astype(np.float32))[None]
-        image = self.generator(torch.from_numpy(code)[None], p)[0]
-        return Mesh(image.double().numpy(), ball.faces, "generated")
+        return Mesh(self.generate_at(code, ball.vertices), ball.faces, "generated")
+
+    @torch.no_grad()
+    def generate_at(
+        self, code: Float[np.ndarray, " d"], p: Float[np.ndarray, "n 3"]
+    ) -> Float[np.ndarray, "n 3"]:
+        """g(z, p) at unit vectors."""
+        z, at = torch.from_numpy(code)[None], torch.from_numpy(p.astype(np.float32))[None]
+        image: np.ndarray = self.generator(z, at)[0].double().numpy()
+        return image
 
     def _towards_mean(self, code: Float[np.ndarray, " d"]) -> Mesh:
         """The mean image, with the part `own` of what the generator adds to it for a code."""
@@ -125,9 +135,12 @@ class GenSP:
         code = _timed(seconds, "encode", lambda: self.encode(shape))
         generated = _timed(seconds, "generate", lambda: self.generate(code))
         source = generated if self.own == 1 else self._towards_mean(code)
-        fitted = _timed(seconds, "fit", lambda: self.fit(source, shape))
-        ball = icosphere(self.level).vertices
-        found = _timed(seconds, "invert", lambda: invert(shape.vertices, fitted, ball))
+        known = Known(code, lambda p: self.generate_at(code, p), self.atlas)
+        surface = SurfaceOnSphere(source, icosphere(self.level).vertices)
+        fitted = _timed(seconds, "fit", lambda: self.fit(surface, shape, known))
+        found = _timed(
+            seconds, "invert", lambda: invert(shape.vertices, fitted.mesh, fitted.sphere)
+        )
         predicted = found.sphere
         trust = reliability(predicted, shape.faces, found.distance)
         refined = _timed(
@@ -143,7 +156,7 @@ class GenSP:
                 "predicted": predicted,
                 "reliability": trust,
                 "generated": generated.vertices,
-                "fitted": fitted.vertices,
+                "fitted": fitted.mesh.vertices,
                 "code": code,
             },
         )

@@ -1,5 +1,6 @@
-"""Networks: the encoder e^γ, the implicit field f^φ and the generators g^θ."""
+"""Networks: encoder e^γ, implicit field f^φ, generators g^θ; and what a model keeps beside."""
 
+from gensp.models.atlas import Atlas
 from gensp.models.encoder import Grouping, PointNet2Encoder
 from gensp.models.generator import (
     AnchoredGenerator,
@@ -14,6 +15,7 @@ from gensp.models.store import load_model, save_model
 
 __all__ = [
     "AnchoredGenerator",
+    "Atlas",
     "DirectGenerator",
     "FlowGenerator",
     "Generator",

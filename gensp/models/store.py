@@ -10,6 +10,7 @@ import torch
 
 from gensp.errors import MissingStage, Unsupported
 from gensp.files import atomic_path
+from gensp.models.atlas import Atlas
 from gensp.models.encoder import PointNet2Encoder
 from gensp.models.generator import AnchoredGenerator, DirectGenerator, FlowGenerator
 from gensp.models.implicit import ImplicitField
@@ -23,6 +24,7 @@ CLASSES: dict[str, type[Network]] = {
         DirectGenerator,
         AnchoredGenerator,
         FlowGenerator,
+        Atlas,
     )
 }
 

@@ -7,6 +7,7 @@ _HOMES = {
     "AugmentStage": "augment",
     "ImplicitStage": "implicit",
     "CorrespondStage": "correspond",
+    "PairedStage": "pairing",
     "InitializeStage": "generator",
     "FinetuneStage": "generator",
     "ParameterizeStage": "parameterize",

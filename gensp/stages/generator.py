@@ -11,19 +11,23 @@ from torch import Tensor
 from gensp.data.batches import CorrespondenceBatch
 from gensp.data.items import item_mesh
 from gensp.data.shapes import SPHERE
-from gensp.files import read_json
+from gensp.files import load_npz, read_json
 from gensp.geometry.distance import ClosestPointTree
 from gensp.geometry.sphere import icosphere
 from gensp.losses import correspondence_loss, coverage_loss, generator_deformation, surface_loss
-from gensp.models import Generator, PointNet2Encoder, jacobian, load_model, save_model
+from gensp.models import Atlas, Generator, PointNet2Encoder, jacobian, load_model, save_model
 from gensp.runs import Run
 from gensp.stages.base import FitStage
 from gensp.stages.latents import CloudCodes, CodeTable, draws, save_codes
+from gensp.stages.pairing import SHARED
 from gensp.tasks.correspond import is_input
 
 
 class GeneratorStage(FitStage):
-    """What both stages share: the networks, the codes of all items, and what is written."""
+    """What both stages share: the networks, the codes of all items, and what is written.
+
+    `shared` are the arrays of the shared surface, where Stage III-a made one.
+    """
 
     def __init__(
         self,
@@ -31,10 +35,12 @@ class GeneratorStage(FitStage):
         encoder: PointNet2Encoder,
         generator: Generator,
         learning_rate: float,
+        shared: Mapping[str, np.ndarray] | None = None,
         seed: int = 0,
         folder: Path | str = Path("."),
     ) -> None:
         super().__init__(learning_rate=learning_rate, seed=seed, folder=folder)
+        self.shared = shared
         self.encoder = encoder.train().requires_grad_(False)
         self.generator = generator.train()
         self.encode = CloudCodes(encoder)
@@ -64,8 +70,16 @@ class GeneratorStage(FitStage):
         codes = self.encode.all(items.ids, items.clouds)
         save_codes(self.folder / "latents.npz", items.ids, codes)
         self.generator.mean_code.copy_(codes[self._inputs()].mean(dim=0))
-        save_model(self.folder / "model.pt", encoder=self.encoder, generator=self.generator)
+        networks = {"encoder": self.encoder, "generator": self.generator, **self._atlas(codes)}
+        save_model(self.folder / "model.pt", **networks)
         return super().finish()
+
+    def _atlas(self, codes: Tensor) -> dict[str, Atlas]:
+        """The shapes' shared surface, where Stage III-a made one."""
+        if self.shared is None:
+            return {}
+        rows = [self.table.rows[str(id)] for id in self.shared["ids"]]
+        return {"atlas": Atlas.of(self.shared, codes[rows])}
 
 
 class InitializeStage(GeneratorStage):
@@ -85,7 +99,8 @@ class InitializeStage(GeneratorStage):
     def from_runs(cls, inputs: Mapping[str, Run], folder: Path, **numbers: Any) -> Self:
         """With the encoder of Stage II."""
         encoder = load_model(inputs["implicit"].folder / "model.pt")["encoder"]
-        return cls(encoder=encoder, folder=folder, **numbers)
+        shared = shared_surface(inputs["correspond"].folder)
+        return cls(encoder=encoder, shared=shared, folder=folder, **numbers)
 
     def setup(self, stage: str) -> None:
         """Encode all items; scale codes by the spread of the inputs; keep their mean image."""
@@ -158,11 +173,14 @@ class FinetuneStage(GeneratorStage):
     def from_runs(cls, inputs: Mapping[str, Run], folder: Path, **numbers: Any) -> Self:
         """With the networks of Stage III-b and the tree of Stage III-a."""
         networks = load_model(inputs["initialize"].folder / "model.pt")
+        networks.pop("atlas", None)  # made anew, with the codes of this stage
+        shared = shared_surface(inputs["correspond"].folder)
         tree = read_json(inputs["correspond"].folder / "tree.json")
         ids = tree["ids"]
         parents = {id: ids[p] for id, p in zip(ids, tree["parent"], strict=True) if p >= 0}
         surfaces = Surfaces(inputs["augment"].folder)
-        return cls(**networks, parents=parents, surfaces=surfaces, folder=folder, **numbers)
+        found = {"parents": parents, "surfaces": surfaces, "shared": shared}
+        return cls(**networks, **found, folder=folder, **numbers)  # type: ignore[arg-type]
 
     def setup(self, stage: str) -> None:
         """Encode all items and join them by the tree."""
@@ -227,6 +245,12 @@ class FinetuneStage(GeneratorStage):
         mine, weight = self.part(len(z))
         metric = jacobian(self.generator, z[mine], p[mine])
         return weight * generator_deformation(metric, self.isometry_weight)
+
+
+def shared_surface(folder: Path) -> dict[str, np.ndarray] | None:
+    """Arrays of the shared surface that a paired Stage III-a left, if it was one."""
+    path = folder / SHARED
+    return load_npz(path) if path.is_file() else None
 
 
 class Surfaces(dict[str, ClosestPointTree]):

@@ -1,0 +1,151 @@
+"""Fitting the surface that a model's shapes share to a new shape, led by certified maps."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from gensp.errors import RegistrationFailed, Unsupported
+from gensp.geometry.guided_registration import PATIENT, MappedShape, guides, posed
+from gensp.geometry.mesh import Mesh, simplify
+from gensp.geometry.registration import Registration, RegistrationSettings, approached
+from gensp.geometry.registration_step import BendingSystem, Schedule, scale_of
+from gensp.geometry.rotation_registration import register_rotation
+from gensp.geometry.spherical_map import SphericalMap
+from gensp.methods.fitting import Known, SurfaceOnSphere
+from gensp.methods.hierarchical import dirichlet
+from gensp.models.atlas import Atlas
+
+
+@dataclass(frozen=True)
+class Start:
+    """A known or generated shape to be bent, and the positions from where."""
+
+    source: Mesh
+    vertices: Float[np.ndarray, "n 3"]
+    strain: float = 0.0
+
+
+class GuidedFit:
+    """The shared surface registered to the shape from several starts, of which the least strained.
+
+    Starts are the surface generated at the shape's own code; the shapes of nearest codes, as they
+    are; and the shapes whose maps agree best with the map of this one, in its pose. Of the poses
+    only the least strained are registered.
+
+    Parameters
+    ----------
+    vertices
+        The shape is simplified to so many before registration.
+    neighbours
+        Shapes of nearest codes, and as many poses that are registered.
+    alike
+        Shapes whose poses are tried.
+    guides
+        Rotations of the sphere that are tried for each of these.
+    registration
+        Changes of the settings' defaults.
+    schedule
+        In place of the settings' own: it begins stiffer and takes longer.
+    """
+
+    def __init__(
+        self,
+        *,
+        vertices: int = 2500,
+        neighbours: int = 2,
+        alike: int = 4,
+        guides: int = 2,
+        registration: Mapping[str, Any] | None = None,
+        schedule: Schedule = PATIENT,
+    ) -> None:
+        self.vertices = vertices
+        self.neighbours, self.alike, self.guides = neighbours, alike, guides
+        self.settings = RegistrationSettings(**{**(registration or {}), "schedule": schedule})
+
+    def __call__(self, generated: SurfaceOnSphere, mesh: Mesh, known: Known) -> SurfaceOnSphere:
+        """The shared surface on the shape.
+
+        Raises
+        ------
+        RegistrationFailed
+            Every registration diverged.
+        Unsupported
+            The model keeps no shared surface.
+        """
+        atlas = _required(known.atlas)
+        coarse = simplify(mesh, self.vertices)
+        target = MappedShape(dirichlet()(coarse))
+        starts = [*self._near(known, atlas), *self._posed(target, atlas)]
+        best = self._best(starts, coarse)
+        sphere = atlas.sphere.double().numpy()
+        return SurfaceOnSphere(Mesh(best.vertices, _triangles(atlas), mesh.name), sphere)
+
+    def _near(self, known: Known, atlas: Atlas) -> list[Start]:
+        """The generated surface, and known shapes of nearest codes."""
+        own = Mesh(known.generate(atlas.sphere.double().numpy()), _triangles(atlas), "generated")
+        gaps = np.linalg.norm(atlas.codes.numpy() - known.code, axis=1)
+        nearest = np.argsort(gaps, kind="stable")[: self.neighbours]
+        shapes = [own, *(known_shapes(atlas)[k].mesh for k in nearest)]
+        return [Start(shape, shape.vertices) for shape in shapes]
+
+    def _posed(self, target: MappedShape, atlas: Atlas) -> list[Start]:
+        """Known shapes in the pose of this one."""
+        shapes = known_shapes(atlas)
+        agreement = [
+            register_rotation(shape.signal, target.signal, candidates=1)[0].correlation
+            for shape in shapes
+        ]
+        alike = np.argsort(-np.array(agreement), kind="stable")[: self.alike]
+        poses = [pose for k in alike for pose in self._poses(shapes[k], target)]
+        return sorted(poses, key=lambda start: start.strain)[: self.neighbours]
+
+    def _poses(self, shape: MappedShape, target: MappedShape) -> list[Start]:
+        bending, scale = BendingSystem(shape.mesh, self.settings), scale_of(target.mesh)
+        found = []
+        for positions in guides(shape, target, self.guides):
+            pose = posed(bending, positions, self.settings, scale)
+            found.append(Start(shape.mesh, pose, bending.strain(pose)))
+        return found
+
+    def _best(self, starts: list[Start], target: Mesh) -> Registration:
+        found, failures = [], []
+        for start in starts:
+            try:
+                bending = BendingSystem(start.source, self.settings)
+                found.append(
+                    approached(start.source, [target], self.settings, bending, start.vertices)
+                )
+            except RegistrationFailed as error:
+                failures.append(str(error))
+        if not found:
+            raise RegistrationFailed(failures[0])
+        return min(found, key=lambda registration: registration.strain)
+
+
+@lru_cache(maxsize=1)
+def known_shapes(atlas: Atlas) -> list[MappedShape]:
+    """The shapes that a model learnt from, with their own maps."""
+    faces = _triangles(atlas)
+    pairs = zip(atlas.images.double().numpy(), atlas.maps.double().numpy(), strict=True)
+    return [
+        MappedShape(SphericalMap(map, image, faces, f"shape {k}"))
+        for k, (image, map) in enumerate(pairs)
+    ]
+
+
+def _triangles(atlas: Atlas) -> np.ndarray:
+    triangles: np.ndarray = atlas.triangles.numpy().astype(np.int64)
+    return triangles
+
+
+def _required(atlas: Atlas | None) -> Atlas:
+    if atlas is None:
+        raise Unsupported(
+            "fit=guided: the model keeps no surface that its shapes share; a model trained with "
+            "correspond=paired is required, or choose fit=register"
+        )
+    return atlas

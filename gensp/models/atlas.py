@@ -1,0 +1,67 @@
+"""What a model keeps of the shapes it learnt from: a surface that they share (ours)."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gensp.models.network import Network
+
+
+class Atlas(Network):
+    """The shared surface of Stage III-a: no weights, but part of the model.
+
+    A shape that the model has never seen is registered to those it resembles.
+
+    Parameters
+    ----------
+    shapes, vertices, faces, latent
+        Sizes k, n, m, d.
+
+    Attributes
+    ----------
+    sphere
+        Unit positions (n, 3) of the shared vertices.
+    triangles
+        Shared triangles (m, 3).
+    images
+        Shared vertices (k, n, 3) on every shape.
+    maps
+        Where every shape's own bijective map has them (k, n, 3).
+    codes
+        Codes (k, d) of the shapes.
+    """
+
+    sphere: Tensor
+    triangles: Tensor
+    images: Tensor
+    maps: Tensor
+    codes: Tensor
+
+    def __init__(self, shapes: int, vertices: int, faces: int, latent: int) -> None:
+        super().__init__()
+        self.settings: dict[str, Any] = {
+            "shapes": shapes,
+            "vertices": vertices,
+            "faces": faces,
+            "latent": latent,
+        }
+        self.register_buffer("sphere", torch.zeros((vertices, 3)))
+        self.register_buffer("triangles", torch.zeros((faces, 3), dtype=torch.int32))
+        self.register_buffer("images", torch.zeros((shapes, vertices, 3)))
+        self.register_buffer("maps", torch.zeros((shapes, vertices, 3)))
+        self.register_buffer("codes", torch.zeros((shapes, latent)))
+
+    @classmethod
+    def of(cls, shared: Mapping[str, np.ndarray], codes: Tensor) -> "Atlas":
+        """From the arrays that Stage III-a left and the codes of the same shapes."""
+        images = shared["images"]
+        atlas = cls(len(images), images.shape[1], len(shared["faces"]), codes.shape[1])
+        atlas.sphere.copy_(torch.from_numpy(shared["sphere"]))
+        atlas.triangles.copy_(torch.from_numpy(shared["faces"]))
+        atlas.images.copy_(torch.from_numpy(images))
+        atlas.maps.copy_(torch.from_numpy(shared["maps"]))
+        atlas.codes.copy_(codes)
+        return atlas

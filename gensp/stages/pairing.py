@@ -1,0 +1,238 @@
+"""Stage III-a without a given tree (ours): the inputs find their own by registering pairs."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from jaxtyping import Float
+
+from gensp.compute import Row, Workers, run_items, stored_rows
+from gensp.data.shapes import SPHERE
+from gensp.errors import RegistrationFailed
+from gensp.files import save_npz, write_json
+from gensp.geometry.consistency import coverage
+from gensp.geometry.correspondence import (
+    Correspondence,
+    Tree,
+    carry,
+    closest_agreeing,
+    correspondence,
+)
+from gensp.geometry.distance import ClosestPointTree
+from gensp.geometry.mesh import Mesh
+from gensp.geometry.points import SurfacePoints
+from gensp.geometry.registration_graph import least_strained_tree, reached_nodes
+from gensp.geometry.registration_step import corners
+from gensp.geometry.shared_sphere import place_for_all
+from gensp.geometry.sphere import icosphere
+from gensp.geometry.spherical_map import SphericalMap
+from gensp.runs import Run
+from gensp.stages.base import ItemStage, write_table
+from gensp.tasks.pairing import RegisterPair
+from gensp.tasks.settling import Settle
+from gensp.terminal import warn
+
+SHARED = "shared.npz"
+
+
+class PairedStage(ItemStage):
+    """Passes over pairs of inputs; its ending finds the tree and puts all inputs on the sphere.
+
+    The least strained registrations span the tree. The mesh of its root is the shared surface: it
+    is registered to every input, from where the tree leads. One placement on the sphere serves
+    all: it begins as the root's bijective map and then distorts the mean of all least.
+
+    Writes edges/<a>/<b>.npz and edges.csv, tree.json, settled.csv, shared.npz (the shared surface
+    on the sphere and on every input), correspondences/<id>.npz (points, valid) and shapes.csv.
+
+    Parameters
+    ----------
+    task
+        Registers one pair.
+    level
+        Of the icosphere whose images are handed on.
+    max_failures
+        More input shapes than this without correspondences end the stage.
+    workers
+        Processes that share the registrations from the root.
+    """
+
+    def __init__(
+        self,
+        *,
+        task: RegisterPair,
+        level: int,
+        max_failures: int = 0,
+        workers: Workers | None = None,
+        folder: Path | str = Path("."),
+    ) -> None:
+        super().__init__(table="edges", max_failures=max_failures, folder=folder)
+        self.task, self.level = task, level
+        self.workers = workers or Workers()
+
+    @classmethod
+    def from_runs(
+        cls,
+        inputs: Mapping[str, Run],
+        folder: Path,
+        *,
+        task: Callable[..., RegisterPair],
+        **numbers: Any,
+    ) -> Self:
+        """With the same task that the items are given to."""
+        return cls(task=task(inputs=inputs, folder=folder), folder=folder, **numbers)
+
+    def finish(self) -> dict[str, float]:
+        """Span the tree, register from its root, place all on the sphere, write the tables."""
+        counts = super().finish()
+        tree = self._tree()
+        reached = [self.task.ids[k] for k in reached_nodes(tree)]
+        self._write_tree(tree, reached)
+        images = self._images(tree, reached)
+        sphere = self._placed(images)
+        rows = self._written(images, sphere, tree)
+        lost = [id for id in self.task.ids if id not in reached]
+        write_table(
+            self.folder / "shapes.csv",
+            [*rows, *({"id": id, "error": "no registration reached it"} for id in lost)],
+        )
+        self._require_few(lost)
+        return {**self._metrics(rows), "lost": len(lost), **counts}
+
+    def _tree(self) -> Tree:
+        place = {id: k for k, id in enumerate(self.task.ids)}
+        strains = {}
+        for row in self.rows:
+            if row.get("accepted"):
+                a, b = str(row["id"]).split("/")
+                strains[place[a], place[b]] = float(row["strain"] or 0)
+        return least_strained_tree(len(place), strains)
+
+    def _write_tree(self, tree: Tree, reached: list[str]) -> None:
+        """As the other kinds of tree: S_0 first, the root below it."""
+        root = int(tree.order[0])
+        parent = np.where(tree.parent < 0, -1, tree.parent + 1)
+        parent[root] = 0
+        content = {
+            "ids": [SPHERE, *self.task.ids],
+            "parent": np.concatenate([[-1], parent]),
+            "weight": np.concatenate([[0.0], tree.weight]),
+            "used": np.array([True, *(id in reached for id in self.task.ids)]),
+        }
+        write_json(self.folder / "tree.json", content)
+
+    def _images(self, tree: Tree, reached: list[str]) -> dict[str, Float[np.ndarray, "n 3"]]:
+        """The root's vertices on every input reached."""
+        root = self.task.shape(reached[0]).mesh
+        starts = self._carried(root, tree)
+        settle = Settle.prepared(self.task, self.folder / "settled", root, starts)
+        for _ in run_items(settle, list(starts), settle.folder, self.workers):
+            pass
+        write_table(self.folder / "settled.csv", stored_rows(settle.folder))
+        return {reached[0]: root.vertices} | {id: settle.image(id) for id in starts}
+
+    def _carried(self, root: Mesh, tree: Tree) -> dict[str, Float[np.ndarray, "n 3"]]:
+        """The root's vertices carried along the tree, by position on each input but the root."""
+        ids = self.task.ids
+        at: dict[int, SurfacePoints] = {int(tree.order[0]): corners(root)}
+        for node in reached_nodes(tree)[1:]:
+            parent = int(tree.parent[node])
+            mesh = self.task.shape(ids[parent]).mesh
+            bent = self.task.registered(ids[parent], ids[node])
+            at[node] = carry(at[parent], mesh.faces, bent, self.task.shape(ids[node]).mesh)
+        meshes = {node: self.task.shape(ids[node]).mesh for node in at}
+        return {
+            ids[node]: points.on(meshes[node].vertices, meshes[node].faces)
+            for node, points in list(at.items())[1:]
+        }
+
+    def _placed(self, images: Mapping[str, Float[np.ndarray, "n 3"]]) -> SphericalMap:
+        """The shared surface on the sphere."""
+        root = next(iter(images))
+        start = self.task.shape(root).map
+        found = place_for_all(np.stack(list(images.values())), start.faces, start.sphere)
+        return SphericalMap(found.sphere, start.surface, start.faces, root)
+
+    def _written(
+        self, images: Mapping[str, np.ndarray], shared: SphericalMap, tree: Tree
+    ) -> list[Row]:
+        """Write the icosphere's images; a row for each."""
+        ball = icosphere(self.level)
+        at = shared.locate(ball.vertices)
+        self._keep(images, shared)
+        depth = dict(zip(self.task.ids, tree.depth().tolist(), strict=True))
+        rows = []
+        for id, vertices in images.items():
+            mesh = self.task.shape(id).mesh
+            found = _met(at, Mesh(vertices, shared.faces), mesh, ball.faces)
+            save_npz(
+                self.folder / "correspondences" / f"{id}.npz",
+                points=found.points,
+                valid=found.valid,
+            )
+            gaps = coverage(mesh, Mesh(found.points, ball.faces, id))
+            rows.append(
+                {
+                    "id": id,
+                    "input": True,
+                    "depth": depth[id],
+                    "fold_rate": found.fold_rate,
+                    "valid": float(found.valid.mean()),
+                    "coverage": gaps.mean,
+                    "coverage_max": gaps.max,
+                }
+            )
+        return rows
+
+    def _keep(self, images: Mapping[str, np.ndarray], shared: SphericalMap) -> None:
+        """What the model will know the inputs by: the shared surface on each, and their maps."""
+        maps = []
+        for id, vertices in images.items():
+            own = self.task.shape(id).map
+            at = ClosestPointTree(own.mesh).query(vertices).at
+            maps.append(own.to_sphere(at))
+        save_npz(
+            self.folder / SHARED,
+            ids=np.array(list(images)),
+            sphere=shared.sphere,
+            faces=shared.faces,
+            images=np.stack(list(images.values())),
+            maps=np.stack(maps),
+        )
+
+    def _require_few(self, lost: list[str]) -> None:
+        if len(lost) > self.max_failures:
+            raise RegistrationFailed(
+                f"{self.folder}: {len(lost)} input shapes ({', '.join(lost[:5])}) have no "
+                f"accepted registration, at most {self.max_failures} may lack one; see edges.csv; "
+                "widen recipe.correspond.acceptance, raise recipe.correspond.neighbours, or raise "
+                "recipe.correspond.max_failures"
+            )
+        if lost:
+            warn(
+                f"{len(lost)} input shapes ({', '.join(lost)}) have no accepted registration and "
+                f"are not learnt from; see {self.folder / 'shapes.csv'}"
+            )
+
+    def _metrics(self, rows: list[Row]) -> dict[str, float]:
+        def mean(name: str, of: list[Row]) -> float:
+            return float(np.mean([float(row[name] or 0) for row in of])) if of else float("nan")
+
+        edges = [row for row in self.rows if not row.get("error")]
+        return {
+            "coverage": mean("coverage", rows),
+            "fold_rate": mean("fold_rate", rows),
+            "valid": mean("valid", rows),
+            "depth": mean("depth", rows),
+            "strain": mean("strain", edges),
+            "seconds_per_edge": mean("seconds", edges),
+            "rejected": sum(not row["accepted"] for row in edges),
+        }
+
+
+def _met(at: SurfacePoints, image: Mesh, mesh: Mesh, faces: np.ndarray) -> Correspondence:
+    """Points of the shared surface's image as points of the mesh itself."""
+    positions = at.on(image.vertices, image.faces)
+    normals = at.on(image.vertex_normals, image.faces)
+    return correspondence(closest_agreeing(positions, normals, mesh), mesh, faces)

@@ -1,0 +1,190 @@
+"""Stage III-a without a given tree: pairs of inputs registered to each other both ways (ours)."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from gensp.compute import Row
+from gensp.data.items import item_mesh
+from gensp.files import load_npz, save_npz
+from gensp.geometry.guided_registration import Guided, MappedShape, register_guided, restarted
+from gensp.geometry.registration import Acceptance, RegistrationSettings
+from gensp.geometry.rotation_registration import register_rotation
+from gensp.geometry.spherical_map import SphericalMap
+from gensp.methods.hierarchical import dirichlet
+from gensp.tasks.correspond import is_input
+
+
+@dataclass(frozen=True)
+class RegisterPair:
+    """Register two inputs to each other and write `edges/<a>/<b>.npz` and `edges/<b>/<a>.npz`.
+
+    An item is "a/b", which no id can contain.
+
+    Attributes
+    ----------
+    augment, implicit, folder
+        Where meshes and codes are read, and where edges and maps are written.
+    neighbours
+        Every input is paired with so many nearest in latent space, and with as many whose maps
+        agree best after a rotation: these find the same body in another pose. 0 joins all to the
+        one in the middle of latent space (No-GP).
+    guides
+        Rotations of the guiding maps that are tried; 0: closest points alone.
+    """
+
+    augment: Path
+    implicit: Path
+    folder: Path
+    neighbours: int
+    guides: int
+    settings: RegistrationSettings
+    acceptance: Acceptance
+
+    @cached_property
+    def ids(self) -> tuple[str, ...]:
+        """The input shapes, in the order of Stage II."""
+        ids = [str(id) for id in load_npz(self.implicit / "latents.npz")["ids"]]
+        return tuple(id for id in ids if is_input(id))
+
+    def codes(self) -> Float[np.ndarray, "k d"]:
+        """Their latent codes."""
+        stored = load_npz(self.implicit / "latents.npz")
+        rows = [k for k, id in enumerate(stored["ids"]) if is_input(str(id))]
+        codes: np.ndarray = stored["codes"][rows].astype(np.float64)
+        return codes
+
+    def shape(self, id: str) -> MappedShape:
+        """An input with its own map, `maps/<id>.npz`, which is made when first asked for."""
+        return _shape(self.augment, self.folder / "maps", id)
+
+    def pairs(self) -> list[str]:
+        """The items: pairs worth registering."""
+        codes = self.codes()
+        latent = np.linalg.norm(codes[:, None] - codes[None], axis=2)
+        if self.neighbours == 0:
+            chosen = _star(latent)
+        else:
+            chosen = _nearest(latent, self.neighbours)
+            if self.guides:
+                chosen |= _nearest(-self._agreement(), self.neighbours)
+        return [f"{self.ids[i]}/{self.ids[j]}" for i, j in sorted(chosen)]
+
+    def _agreement(self) -> Float[np.ndarray, "k k"]:
+        """Correlation of the densities of two maps after the best rotation."""
+        signals = [self.shape(id).signal for id in self.ids]
+        found = np.zeros((len(signals), len(signals)))
+        for i in range(len(signals)):
+            for j in range(i):
+                turn = register_rotation(signals[i], signals[j], candidates=1)[0]
+                found[i, j] = found[j, i] = turn.correlation
+        return found
+
+    def __call__(self, item: str) -> Row:
+        """A row of both registrations."""
+        began = time.perf_counter()
+        a, b = item.split("/")
+        ahead, back = self._both(self.shape(a), self.shape(b))
+        self._save(a, b, ahead)
+        self._save(b, a, back)
+        complaints = [self.acceptance.complaint(found.best) for found in (ahead, back)]
+        return {
+            "id": item,
+            "accepted": complaints == ["", ""],
+            "strain": (ahead.best.strain + back.best.strain) / 2,
+            "strain_ahead": ahead.best.strain,
+            "strain_back": back.best.strain,
+            "guide_ahead": ahead.guide,
+            "guide_back": back.guide,
+            "residual": max(ahead.best.residual, back.best.residual),
+            "coverage": max(ahead.best.coverage, back.best.coverage),
+            "fold_rate": max(ahead.best.fold_rate, back.best.fold_rate),
+            "complaints": "; ".join(text for text in complaints if text),
+            "seconds": round(time.perf_counter() - began, 3),
+        }
+
+    def _both(self, a: MappedShape, b: MappedShape) -> tuple[Guided, Guided]:
+        """Both ways; what strained more is tried again from the inverse of the other."""
+        ahead = register_guided(a, b, settings=self.settings, count=self.guides)
+        back = register_guided(b, a, settings=self.settings, count=self.guides)
+        if ahead.best.strain < back.best.strain:
+            return ahead, restarted(b, a, back, ahead, settings=self.settings)
+        return restarted(a, b, ahead, back, settings=self.settings), back
+
+    def registered(self, parent: str, child: str) -> Float[np.ndarray, "n 3"]:
+        """Vertices of the parent's mesh on the child."""
+        vertices: np.ndarray = load_npz(pair_path(self.folder, parent, child))["vertices"]
+        return vertices
+
+    def _save(self, parent: str, child: str, found: Guided) -> None:
+        save_npz(pair_path(self.folder, parent, child), vertices=found.best.vertices)
+
+
+def pair_path(folder: Path, parent: str, child: str) -> Path:
+    """Where the registration of a parent to a child is kept."""
+    return folder / "edges" / parent / f"{child}.npz"
+
+
+def _nearest(distance: Float[np.ndarray, "k k"], count: int) -> set[tuple[int, int]]:
+    """Unordered pairs of everything with its `count` nearest others."""
+    away = distance + np.where(np.eye(len(distance), dtype=bool), np.inf, 0)
+    near = np.argsort(away, axis=1, kind="stable")[:, : min(count, len(away) - 1)]
+    return {(min(i, int(j)), max(i, int(j))) for i, row in enumerate(near) for j in row}
+
+
+def _star(distance: Float[np.ndarray, "k k"]) -> set[tuple[int, int]]:
+    """Pairs of everything with the one that is nearest to all."""
+    centre = int(distance.sum(axis=1).argmin())
+    return {(min(centre, k), max(centre, k)) for k in range(len(distance)) if k != centre}
+
+
+@lru_cache(maxsize=256)
+def _shape(augment: Path, maps: Path, id: str) -> MappedShape:
+    mesh, path = item_mesh(augment, id), maps / f"{id}.npz"
+    if not path.is_file():
+        save_npz(path, sphere=dirichlet()(mesh).sphere)
+    return MappedShape(SphericalMap(load_npz(path)["sphere"], mesh.vertices, mesh.faces, id))
+
+
+def pairing_task(
+    *,
+    inputs: Mapping[str, Any],
+    folder: Path,
+    guided: bool,
+    neighbours: int,
+    guides: int,
+    registration: Mapping[str, Any],
+    schedule: Sequence[Sequence[float]],
+    acceptance: Mapping[str, float],
+) -> RegisterPair:
+    """The task as the configuration gives it.
+
+    Parameters
+    ----------
+    guided
+        Ablation No-GP when off: all inputs are joined straight to the one in the middle.
+    schedule
+        In place of that of `registration`: it begins stiffer and takes longer.
+    """
+    return RegisterPair(
+        augment=inputs["augment"].folder,
+        implicit=inputs["implicit"].folder,
+        folder=Path(folder),
+        neighbours=neighbours if guided else 0,
+        guides=guides,
+        settings=replace(RegistrationSettings(**registration), schedule=schedule),
+        acceptance=Acceptance(**acceptance),
+    )
+
+
+def pairing_items(
+    *, inputs: Mapping[str, Any], folder: Path, task: Callable[..., RegisterPair]
+) -> list[str]:
+    """The pairs that are registered."""
+    return task(inputs=inputs, folder=folder).pairs()
