@@ -12,11 +12,10 @@ _NO_PARENT = -1
 
 
 def least_strained_tree(count: int, strains: Mapping[tuple[int, int], float]) -> Tree:
-    """Shortest paths by strain, from the node that has all others nearest.
+    """Minimum spanning tree by strain, hung from the node that has all others nearest.
 
-    A deep tree of short edges would add up what every registration slides; sums of strain weigh
-    depth against difficulty by themselves. Nodes that no edge joins to the rest are left without
-    parent, at the end of the order.
+    Like shapes come to hang together, and slide alike. Nodes that no edge joins to the root's part
+    are left without parent, at the end of the order.
 
     Parameters
     ----------
@@ -29,19 +28,15 @@ def least_strained_tree(count: int, strains: Mapping[tuple[int, int], float]) ->
     for (i, j), strain in strains.items():
         # A strain of exactly zero would read as "no edge".
         cost[i, j] = cost[j, i] = max(strain, 1e-12)
-    lengths = graph.shortest_path(
-        graph.csgraph_from_dense(cost, null_value=np.inf), directed=False
-    )
-    root = _centre(lengths)
-    length, parent = graph.dijkstra(
-        graph.csgraph_from_dense(cost, null_value=np.inf),
-        directed=False,
-        indices=root,
-        return_predecessors=True,
+    edges = graph.csgraph_from_dense(cost, null_value=np.inf)
+    root = _centre(graph.shortest_path(edges, directed=False))
+    order, parent = graph.breadth_first_order(
+        graph.minimum_spanning_tree(edges), root, directed=False
     )
     parent = np.where(parent < 0, _NO_PARENT, parent).astype(np.int64)
     weight = np.where(parent < 0, 0.0, cost[np.arange(count), parent])
-    return Tree(parent, np.argsort(length, kind="stable").astype(np.int64), weight)
+    rest = np.setdiff1d(np.arange(count), order)
+    return Tree(parent, np.concatenate([order, rest]).astype(np.int64), weight)
 
 
 def _centre(lengths: Float[np.ndarray, "k k"]) -> int:

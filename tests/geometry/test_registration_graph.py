@@ -16,8 +16,7 @@ def test_a_detour_of_less_strain_is_taken() -> None:
     assert tree.order[0] == 1
     assert tree.parent.tolist() == [1, -1, 1]
     straight = least_strained_tree(3, {(0, 1): 0.2, (1, 2): 0.2, (0, 2): 0.1})
-    assert straight.parent[2] == straight.order[0] or straight.parent[0] == straight.order[0]
-    assert straight.weight.sum() < 0.35
+    np.testing.assert_allclose(straight.weight.sum(), 0.3)
 
 
 def test_nodes_without_an_edge_are_not_reached() -> None:
