@@ -45,7 +45,7 @@ class GuidedFit:
     alike
         Shapes whose poses are tried.
     guides
-        Rotations of the sphere that are tried for each of these.
+        Rotations of the sphere that are tried for each of these; 0: no poses.
     registration
         Changes of the settings' defaults.
     schedule
@@ -78,8 +78,9 @@ class GuidedFit:
         """
         atlas = _required(known.atlas)
         coarse = simplify(mesh, self.vertices)
-        target = MappedShape(dirichlet()(coarse))
-        starts = [*self._near(known, atlas), *self._posed(target, atlas)]
+        starts = self._near(known, atlas)
+        if self.guides:
+            starts += self._posed(MappedShape(dirichlet()(coarse)), atlas)
         best = self._best(starts, coarse)
         sphere = atlas.sphere.double().numpy()
         return SurfaceOnSphere(Mesh(best.vertices, _triangles(atlas), mesh.name), sphere)

@@ -61,8 +61,8 @@ class RegisterPair:
         return codes
 
     def shape(self, id: str) -> MappedShape:
-        """An input with its own map, `maps/<id>.npz`, which is made when first asked for."""
-        return _shape(self.augment, self.folder / "maps", id)
+        """An input with its own map, `guides/<id>.npz`, which is made when first asked for."""
+        return _shape(self.augment, self.folder / "guides", id)
 
     def pairs(self) -> list[str]:
         """The items: pairs worth registering."""
