@@ -82,16 +82,17 @@ def as_mesh(vertices: ArrayLike, faces: ArrayLike, name: str = "mesh") -> Mesh:
     return Mesh(np.ascontiguousarray(positions), np.array(triangles, dtype=np.int64), name)
 
 
-def load(checkpoint: Path | str, *, register: bool = False, **settings: Any) -> "GenSP":
-    """The GenSP method with the networks of a model.pt, to be called with a mesh.
+def load(model: Path | str, *, register: bool | None = None, **settings: Any) -> "GenSP":
+    """The GenSP method with the networks of a model, to be called with a mesh.
 
     Parameters
     ----------
-    checkpoint
-        The model.pt of stage finetune (or initialize).
+    model
+        A model of the package ("heads", "quadrupeds", "humans"), used as it was meant to be, or
+        the model.pt of stage finetune (or initialize).
     register
-        Register the generated surface to the shape before the map is read off it: for shapes
-        that the model has never seen.
+        Register the generated surface to the shape before the map is read off it, or do not; left
+        out: as the model of the package asks for, and not for others.
     settings
         Further arguments of `gensp.GenSP`, such as level, draws or refine.
 
@@ -105,6 +106,12 @@ def load(checkpoint: Path | str, *, register: bool = False, **settings: Any) -> 
     from gensp.methods.fitting import NoFit, RegisterFit
     from gensp.methods.gensp import GenSP
     from gensp.methods.refinement import CertifiedRefinement
+    from gensp.pretrained import shipped
 
-    chosen = {"fit": RegisterFit() if register else NoFit(), "refine": CertifiedRefinement()}
-    return GenSP.load(checkpoint, **{**chosen, **settings})
+    known = shipped().get(str(model))
+    chosen = (
+        {"fit": NoFit(), "refine": CertifiedRefinement()} if known is None else known.settings()
+    )
+    if register is not None:
+        chosen["fit"] = RegisterFit() if register else NoFit()
+    return GenSP.load(model if known is None else known.path, **{**chosen, **settings})

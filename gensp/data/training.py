@@ -206,6 +206,18 @@ class CorrespondenceModule(FitModule):
         mean = known_mean(self.targets[items], self.valid[items], self.targets[0])
         return torch.from_numpy(mean.astype(np.float32))
 
+    def shared_surface(self, items: Sequence[int]) -> dict[str, np.ndarray]:
+        """The icosphere on the given items, as the arrays of `models.atlas.Atlas`."""
+        images = self.targets[items]
+        return {
+            "ids": np.array([self.ids[k] for k in items]),
+            "sphere": self.sphere.vertices,
+            "faces": self.sphere.faces,
+            "images": images,
+            # Whatever maps agree serve as guides: here they agree by construction.
+            "maps": np.broadcast_to(self.sphere.vertices, images.shape),
+        }
+
     def dataset(self) -> CorrespondenceDataset:
         """Targets of all icosphere vertices, and samplers of all surfaces."""
         ball = icosphere(_SPHERE_LEVEL)

@@ -115,6 +115,12 @@ class GenSP:
         image: np.ndarray = self.generator(z, at)[0].double().numpy()
         return image
 
+    def _novelty(self, code: Float[np.ndarray, " d"]) -> dict[str, float]:
+        """How far the code is from those learnt from, where the model knows them."""
+        if self.atlas is None:
+            return {}
+        return {"novelty": self.atlas.novelty(torch.from_numpy(code))}
+
     def _towards_mean(self, code: Float[np.ndarray, " d"]) -> Mesh:
         """The mean image, with the part `own` of what the generator adds to it for a code."""
         mean: np.ndarray = self.generator.mean_code.numpy()
@@ -150,7 +156,12 @@ class GenSP:
             refined,
             surface=mesh.vertices,
             name=mesh.name,
-            diagnostics={**refined.diagnostics, **seconds, "seconds": sum(seconds.values())},
+            diagnostics={
+                **refined.diagnostics,
+                **seconds,
+                "seconds": sum(seconds.values()),
+                **self._novelty(code),
+            },
             arrays={
                 **refined.arrays,
                 "predicted": predicted,

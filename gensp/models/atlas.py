@@ -55,13 +55,39 @@ class Atlas(Network):
         self.register_buffer("codes", torch.zeros((shapes, latent)))
 
     @classmethod
-    def of(cls, shared: Mapping[str, np.ndarray], codes: Tensor) -> "Atlas":
-        """From the arrays that Stage III-a left and the codes of the same shapes."""
-        images = shared["images"]
+    def of(cls, shared: Mapping[str, np.ndarray], codes: Tensor, *, limit: int = 100) -> "Atlas":
+        """From the arrays of a shared surface and the codes of the same shapes.
+
+        Of more than `limit` shapes those are kept whose codes lie farthest apart.
+        """
+        kept = _spread(codes, limit)
+        images = shared["images"][kept]
         atlas = cls(len(images), images.shape[1], len(shared["faces"]), codes.shape[1])
         atlas.sphere.copy_(torch.from_numpy(shared["sphere"]))
         atlas.triangles.copy_(torch.from_numpy(shared["faces"]))
         atlas.images.copy_(torch.from_numpy(images))
-        atlas.maps.copy_(torch.from_numpy(shared["maps"]))
-        atlas.codes.copy_(codes)
+        atlas.maps.copy_(torch.from_numpy(shared["maps"][kept]))
+        atlas.codes.copy_(codes[kept])
         return atlas
+
+    def novelty(self, code: Tensor) -> float:
+        """Distance of a code (d,) to the nearest known one, over the median of the known ones'.
+
+        About 1 for shapes such as those learnt from; infinite where only one is known.
+        """
+        gaps = torch.cdist(self.codes, self.codes)
+        own = gaps.fill_diagonal_(torch.inf).amin(dim=1).median()
+        nearest = (self.codes - code).norm(dim=1).min()
+        return float(nearest / own) if torch.isfinite(own) and own > 0 else float("inf")
+
+
+def _spread(codes: Tensor, limit: int) -> list[int]:
+    """Places of codes by farthest points, all of them in order where they are few."""
+    if len(codes) <= limit:
+        return list(range(len(codes)))
+    chosen = [int((codes - codes.mean(dim=0)).norm(dim=1).argmin())]
+    gap = (codes - codes[chosen[0]]).norm(dim=1)
+    while len(chosen) < limit:
+        chosen.append(int(gap.argmax()))
+        gap = torch.minimum(gap, (codes - codes[chosen[-1]]).norm(dim=1))
+    return sorted(chosen)

@@ -26,7 +26,8 @@ from gensp.tasks.correspond import is_input
 class GeneratorStage(FitStage):
     """What both stages share: the networks, the codes of all items, and what is written.
 
-    `shared` are the arrays of the shared surface, where Stage III-a made one.
+    `shared` are the arrays of the shared surface, where Stage III-a made one; of `kept_shapes`
+    inputs at most the model keeps it.
     """
 
     def __init__(
@@ -36,11 +37,12 @@ class GeneratorStage(FitStage):
         generator: Generator,
         learning_rate: float,
         shared: Mapping[str, np.ndarray] | None = None,
+        kept_shapes: int = 100,
         seed: int = 0,
         folder: Path | str = Path("."),
     ) -> None:
         super().__init__(learning_rate=learning_rate, seed=seed, folder=folder)
-        self.shared = shared
+        self.shared, self.kept_shapes = shared, kept_shapes
         self.encoder = encoder.train().requires_grad_(False)
         self.generator = generator.train()
         self.encode = CloudCodes(encoder)
@@ -70,16 +72,16 @@ class GeneratorStage(FitStage):
         codes = self.encode.all(items.ids, items.clouds)
         save_codes(self.folder / "latents.npz", items.ids, codes)
         self.generator.mean_code.copy_(codes[self._inputs()].mean(dim=0))
-        networks = {"encoder": self.encoder, "generator": self.generator, **self._atlas(codes)}
-        save_model(self.folder / "model.pt", **networks)
+        networks = {"encoder": self.encoder, "generator": self.generator}
+        save_model(self.folder / "model.pt", **networks, atlas=self._atlas(codes))
         return super().finish()
 
-    def _atlas(self, codes: Tensor) -> dict[str, Atlas]:
-        """The shapes' shared surface, where Stage III-a made one."""
-        if self.shared is None:
-            return {}
-        rows = [self.table.rows[str(id)] for id in self.shared["ids"]]
-        return {"atlas": Atlas.of(self.shared, codes[rows])}
+    def _atlas(self, codes: Tensor) -> Atlas:
+        """The inputs by a surface that they share: Stage III-a's own, or the icosphere."""
+        items, rows = self.trainer.datamodule, self._inputs()
+        shared = self.shared or items.shared_surface(rows)
+        rows = [self.table.rows[str(id)] for id in shared["ids"]]
+        return Atlas.of(shared, codes[rows], limit=self.kept_shapes)
 
 
 class InitializeStage(GeneratorStage):

@@ -1,0 +1,87 @@
+"""Take a trained model into the package: `python -m gensp.pretrained.ship NAME MAPS`.
+
+MAPS is a finished folder of stage parameterize: its configuration tells how the model is used.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from omegaconf import OmegaConf
+
+from gensp.errors import GenSPError, MissingStage, Unsupported
+from gensp.files import atomic_path, read_json, write_json
+from gensp.pretrained import FITS, FOLDER, LARGEST, TABLE, digest
+
+_KINDS = {f"{cls.__module__}.{cls.__name__}": kind for kind, cls in FITS.items()}
+_REFINE = ("pull", "floor", "max_iterations", "tolerance", "crowding")
+
+
+def entry_of(maps: Path) -> dict[str, Any]:
+    """How a finished parameterization used its model.
+
+    Raises
+    ------
+    MissingStage
+        The folder holds no configuration.
+    """
+    file = maps / "config.yaml"
+    if not file.is_file():
+        raise MissingStage(
+            f"{file}: does not exist; a finished folder of stage=parameterize is required"
+        )
+    config = OmegaConf.to_container(OmegaConf.load(file), resolve=True)
+    assert isinstance(config, dict)
+    fit = dict(config["method"]["object"]["fit"])
+    refine = config["refine"]["object"]
+    return {
+        "method": {"level": config["method"]["object"]["level"], "own": config["fit"]["own"]},
+        "fit": {"kind": _KINDS[fit.pop("_target_")], **fit},
+        "refine": {key: refine[key] for key in _REFINE if key in refine},
+    }
+
+
+def ship(name: str, maps: Path, model: Path, novel: float) -> Path:
+    """Copy a model.pt and write its entry.
+
+    Raises
+    ------
+    Unsupported
+        The file is too large.
+    """
+    size = model.stat().st_size
+    if size > LARGEST:
+        raise Unsupported(
+            f"{model}: has {size:,} bytes; at most {LARGEST:,} are required; keep fewer shapes"
+        )
+    target = FOLDER / f"{name}.pt"
+    with atomic_path(target) as temporary:
+        temporary.write_bytes(model.read_bytes())
+    table = read_json(TABLE) if TABLE.is_file() else {}
+    entry = {"sha256": digest(target), **entry_of(maps), "novel": novel}
+    write_json(TABLE, dict(sorted({**table, name: entry}.items())))
+    return target
+
+
+def main() -> int:
+    """Read the command line; returns the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("name")
+    parser.add_argument("maps", type=Path, help="finished folder of stage parameterize")
+    parser.add_argument(
+        "--model", type=Path, help="model.pt (default: that of ../../full/finetune)"
+    )
+    parser.add_argument("--novel", type=float, default=3.0, help="novelty of a foreign shape")
+    chosen = parser.parse_args()
+    model = chosen.model or chosen.maps.parent.parent / "full" / "finetune" / "model.pt"
+    try:
+        print(ship(chosen.name, chosen.maps, model, chosen.novel))
+    except GenSPError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
