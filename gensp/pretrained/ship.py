@@ -76,9 +76,9 @@ def main() -> int:
     chosen = parser.parse_args()
     model = chosen.model or chosen.maps.parent.parent / "full" / "finetune" / "model.pt"
     try:
-        print(ship(chosen.name, chosen.maps, model, chosen.novel))
+        sys.stdout.write(f"{ship(chosen.name, chosen.maps, model, chosen.novel)}\n")
     except GenSPError as error:
-        print(f"error: {error}", file=sys.stderr)
+        sys.stderr.write(f"error: {error}\n")
         return 2
     return 0
 
