@@ -139,8 +139,8 @@ def test_the_fitted_surface_lies_between_the_mean_image_and_the_own(bumpy: Mesh)
     parts["generator"].mean_image = torch.from_numpy(1.2 * icosphere(3).vertices).float()
     seen: list[Mesh] = []
 
-    def watched(generated: Mesh, mesh: Mesh) -> Mesh:
-        seen.append(generated)
+    def watched(generated: SurfaceOnSphere, mesh: Mesh, known: Known) -> SurfaceOnSphere:
+        seen.append(generated.mesh)
         return generated
 
     for own in (0.0, 0.5, 1.0):
