@@ -1,6 +1,5 @@
 """What the commands read: sound meshes, maps, methods."""
 
-import shlex
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,7 +8,7 @@ import numpy as np
 
 from gensp.errors import NotGenusZero, UnreadableMesh, Unsupported
 from gensp.files import load_npz
-from gensp.geometry.diagnosis import REMESH, diagnose
+from gensp.geometry.diagnosis import diagnose, repair_command
 from gensp.geometry.mesh import Mesh, load_mesh
 from gensp.geometry.spherical_map import SphericalMap
 from gensp.methods import SphericalParameterization
@@ -27,11 +26,9 @@ def sound_mesh(path: Path) -> Mesh:
     found = diagnose(mesh)
     if not found.usable:
         what = ", ".join(words for words, _ in found.findings)
-        words = ["gensp", "repair", str(path), f"{path.stem}_mended.ply"]
-        if any(remedy == REMESH for _, remedy in found.findings):
-            words.append("--remesh")
         raise NotGenusZero(
-            f"{path}: {what}; one closed surface of genus 0 is required; type: {shlex.join(words)}"
+            f"{path}: {what}; one closed surface of genus 0 is required; type: "
+            f"{repair_command(path, found)}"
         )
     return mesh
 
