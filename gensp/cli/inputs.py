@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gensp.cli.terminal import compile_announced, progress
 from gensp.errors import NotGenusZero, UnreadableMesh, Unsupported
 from gensp.files import load_npz
 from gensp.geometry.diagnosis import diagnose, repair_command
@@ -122,4 +123,7 @@ def map_of(path: Path, method: SphericalParameterization | None) -> SphericalMap
     if is_map(path):
         return read_map(path)
     assert method is not None
-    return method(sound_mesh(path))
+    mesh = sound_mesh(path)
+    compile_announced()
+    with progress(mesh.name):
+        return method(mesh)

@@ -10,7 +10,7 @@ from typing import Protocol, TypeVar
 from gensp.errors import BadMesh, MissingData, Unsupported
 from gensp.files import read_json, write_json
 from gensp.geometry.diagnosis import diagnose, repair_command
-from gensp.geometry.mesh import Mesh, load_mesh, require_genus_zero
+from gensp.geometry.mesh import MAX_FACES, Mesh, load_mesh, require_genus_zero
 
 _RECORD = "genus_zero.json"
 _FEWEST = 4  # faces of a closed surface
@@ -27,12 +27,14 @@ ShapeT = TypeVar("ShapeT", bound=_Named)
 
 
 def checked(
-    shapes: Sequence[ShapeT], *, on_bad: str, max_faces: int, cache: Path | str | None
+    shapes: Sequence[ShapeT], *, on_bad: str, max_faces: int | None, cache: Path | str | None
 ) -> tuple[list[ShapeT], list[tuple[str, str]]]:
     """Split shapes into the sound ones and (id, reason) of the others.
 
     Parameters
     ----------
+    max_faces
+        Larger meshes are bad; none is `MAX_FACES`.
     cache
         Folder for the digests of files that have passed; a file is checked again when its content
         or `max_faces` changes.
@@ -49,7 +51,8 @@ def checked(
     record = None if cache is None else Path(cache) / _RECORD
     passed = _read_record(record)
     known = len(passed)
-    reasons = {shape.id: _verdict(shape.path, max_faces, passed) for shape in shapes}
+    most = MAX_FACES if max_faces is None else max_faces
+    reasons = {shape.id: _verdict(shape.path, most, passed) for shape in shapes}
     if record is not None and len(passed) > known:
         write_json(record, sorted(passed))
     bad = [(id, reason) for id, reason in reasons.items() if reason is not None]

@@ -148,3 +148,14 @@ def test_model_from_a_file(gensp: Run, bumpy: Mesh, bumpy_file: Path, tmp_path: 
     model = package.load(tmp_path / "model.pt")
     own = package.parameterize(bumpy.vertices, bumpy.faces, method=model)
     np.testing.assert_array_equal(own, load_map(tmp_path / "out" / "bumpy.npz").sphere)
+
+
+def test_slow_maps_say_how_far_they_are(
+    gensp: Run, bumpy_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gensp.cli.terminal.EVERY", 0.0)
+    code, _, said = gensp("parameterize", bumpy_file, "--out", tmp_path)
+    lines = said.splitlines()
+    assert code == 0
+    assert "bumpy: growing the map: 642 of 642 vertices" in lines
+    assert all(line.startswith("bumpy: ") for line in lines)
