@@ -1,5 +1,6 @@
 """`gensp parameterize`: every file it writes reads back."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -52,6 +53,20 @@ def _same_in_ply(path: Path, map: SphericalMap) -> None:
     np.testing.assert_array_equal(sphere, map.sphere)
     np.testing.assert_array_equal(load_mesh(path).vertices, map.surface)
     assert certify(sphere, load_mesh(path).faces)
+
+
+def test_glb_reads_its_picture_at_full_size(map_file: Path, tmp_path: Path) -> None:
+    """Without mipmaps, which blur it at the poles; repeated along the longitude."""
+    map, picture = load_map(map_file), np.zeros((8, 16, 3), dtype=np.uint8)
+    (glb, *_) = write_textured(map, picture, tmp_path / "shape")
+    content = glb.read_bytes()
+    length = int.from_bytes(content[12:16], "little")
+    tree = json.loads(content[20 : 20 + length])
+    (texture,), (sampler,) = tree["textures"], tree["samplers"]
+    assert texture["sampler"] == 0
+    linear, repeat = 9729, 10497
+    assert (sampler["magFilter"], sampler["minFilter"]) == (linear, linear)
+    assert sampler["wrapS"] == repeat
 
 
 @pytest.mark.parametrize("end", [".glb", ".obj"])
