@@ -15,13 +15,16 @@ from omegaconf import DictConfig
 # Threads that wait must not keep the core from other processes: without this, two busy programs
 # on two cores slow each other down tenfold. Read when torch is first imported.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+# Hydra hands its errors on instead of printing them, so that one line tells what was mistyped.
+os.environ.setdefault("HYDRA_FULL_ERROR", "1")
 
 
 @hydra.main(version_base="1.3", config_path="conf", config_name="config")
 def main(cfg: DictConfig) -> float | None:
     """Compose the configuration, run what it names, return the headline metric."""
     # Imported late: --help and misspelt words need none of it.
-    from gensp.run import one_line_errors, run
+    from gensp.mistakes import one_line_errors
+    from gensp.run import run
 
     job = HydraConfig.get()
     with one_line_errors(sweep=job.mode == RunMode.MULTIRUN):
@@ -29,4 +32,7 @@ def main(cfg: DictConfig) -> float | None:
 
 
 if __name__ == "__main__":
-    main()
+    from gensp.mistakes import one_line_words
+
+    with one_line_words():
+        main()

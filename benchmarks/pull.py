@@ -4,31 +4,36 @@ python benchmarks/pull.py runs/quickstart/full/parameterize data/heads --out doc
 
 Every prediction of the run is refined with refine=certify at several γ; `--out` gets a table
 (csv) and a picture (png). Error: implied correspondence over √area, mean over the pairs with dense
-ground truth, without rotation.
+ground truth, without rotation; that of the predictions goes through the generated surfaces, since
+folded maps have no inverse (`gensp.geometry.consistency.prediction_error`).
 """
 
 import argparse
 import csv
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from gensp.data.ground_truth import common_points
 from gensp.data.shapes import ShapeCollection
 from gensp.files import atomic_path, load_npz
-from gensp.geometry.consistency import correspondence_error
+from gensp.geometry.consistency import GeneratedShape, correspondence_error, prediction_error
 from gensp.geometry.distance import closest_point
-from gensp.geometry.mesh import Mesh, normalize
+from gensp.geometry.mesh import normalize
+from gensp.geometry.points import SurfacePoints
 from gensp.geometry.refine import reliability
-from gensp.geometry.sphere import icosphere_of
 from gensp.geometry.spherical_map import SphericalMap
 from gensp.methods.refinement import CertifiedRefinement
 from gensp.pictures.curves import figure, save_figure
+from gensp.tasks.evaluate import predicted_surface
 
 GAMMAS = (1.0, 10.0, 30.0, 100.0, 300.0)
 FLOOR = 0.3
+Pair = tuple[str, str, SurfacePoints, SurfacePoints]
+T = TypeVar("T")
 
 
 def maps(
@@ -41,37 +46,61 @@ def maps(
         path = run / "predictions" / f"{id}.npz"
         if path.is_file():
             arrays, mesh = load_npz(path), normalize(collection.mesh(id))
-            start, fitted = arrays["predicted"], arrays["fitted"].astype(np.float64)
-            surface = Mesh(fitted, icosphere_of(len(fitted)).faces)
+            start, surface = arrays["predicted"], predicted_surface(run, id, "fitted")
             away = closest_point(mesh.vertices, surface).distance
             found[id] = refine(mesh, start, start, reliability(start, mesh.faces, away))
     return found
 
 
-def errors(found: dict[str, SphericalMap], collection: ShapeCollection) -> Iterator[float]:
-    """Error of every pair with dense ground truth, both directions."""
-    for first, second in combinations(found, 2):
+def pairs(ids: Sequence[str], collection: ShapeCollection) -> Iterator[Pair]:
+    """Every pair with dense ground truth, and its points on both shapes."""
+    for first, second in combinations(ids, 2):
         truths = collection.ground_truth(first), collection.ground_truth(second)
         if truths[0] is None or truths[1] is None:
             continue
         rows, others = common_points(*truths)
         if len(rows):
-            a, b = found[first], found[second]
-            at_a, at_b = truths[0].take(rows).at, truths[1].take(others).at
-            turn = np.eye(3)
-            there = correspondence_error(a, b, at_a, at_b, turn).mean()
-            yield (there + correspondence_error(b, a, at_b, at_a, turn).mean()) / 2
+            yield first, second, truths[0].take(rows).at, truths[1].take(others).at
 
 
-def line(run: Path, collection: ShapeCollection, gamma: float, floor: float) -> dict:
-    """One line of the table."""
+def mean_error(
+    found: Mapping[str, T], measure: Callable[..., np.ndarray], collection: ShapeCollection
+) -> float:
+    """Mean over the pairs of the error in both directions."""
+    errors = [
+        (
+            measure(found[a], found[b], at_a, at_b).mean()
+            + measure(found[b], found[a], at_b, at_a).mean()
+        )
+        / 2
+        for a, b, at_a, at_b in pairs(list(found), collection)
+    ]
+    return float(np.mean(errors))
+
+
+def unrefined(run: Path, collection: ShapeCollection) -> float:
+    """Error of the predictions, between the surfaces that maps are read off."""
+    images = {id: predicted_surface(run, id, "fitted") for id in collection.ids()}
+    shapes = {
+        id: GeneratedShape(normalize(collection.mesh(id)), image)
+        for id, image in images.items()
+        if image is not None
+    }
+    return mean_error(shapes, prediction_error, collection)
+
+
+def line(
+    run: Path, collection: ShapeCollection, gamma: float, floor: float, prediction: float
+) -> dict:
+    """One line of the table; `prediction` is the error before refinement."""
     found = maps(run, collection, gamma, floor)
     distortions = [map.distortion() for map in found.values()]
     rungs = [map.diagnostics["rung"] for map in found.values()]
     return {
         "gamma": gamma,
         "shapes": len(found),
-        "error": float(np.mean(list(errors(found, collection)))),
+        "error": mean_error(found, correspondence_error, collection),
+        "error_prediction": prediction,
         "sigma_mean": float(np.mean([d.mean for d in distortions])),
         "sigma_max": float(np.max([d.max for d in distortions])),
         "bad_faces": sum(int(map.bad_faces().sum()) for map in found.values()),
@@ -112,14 +141,20 @@ def main() -> None:
     parser.add_argument("collection", type=Path, help="folder of its meshes")
     parser.add_argument("--out", type=Path, required=True, help="path without suffix")
     parser.add_argument("--floor", type=float, default=FLOOR, help="as recipe.refine.floor")
+    parser.add_argument(
+        "--gammas", type=float, nargs="*", default=GAMMAS, help="none: only the predictions"
+    )
     words = parser.parse_args()
     collection = ShapeCollection.from_folder(words.collection)
-    lines = []
-    for gamma in GAMMAS:
-        lines.append(line(words.run, collection, gamma, words.floor))
+    prediction = unrefined(words.run, collection)
+    print(f"error of the predictions: {prediction:.5f}", flush=True)  # noqa: T201
+    lines: list[dict] = []
+    for gamma in words.gammas:
+        lines.append(line(words.run, collection, gamma, words.floor, prediction))
         print(lines[-1], flush=True)  # noqa: T201
         write(lines, words.out.with_suffix(".csv"))
-    draw(lines, words.out.with_suffix(".png"), collection.name)
+    if lines:
+        draw(lines, words.out.with_suffix(".png"), collection.name)
 
 
 if __name__ == "__main__":

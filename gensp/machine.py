@@ -10,6 +10,14 @@ from typing import Any
 
 _PACKAGES = ("gensp", "torch", "lightning", "numpy", "scipy", "libigl", "trimesh", "torchdiffeq")
 
+# What launchers (torchrun, Lightning's own, Slurm, jsrun) call the place of a process.
+_RANKS = ("RANK", "LOCAL_RANK", "NODE_RANK", "SLURM_PROCID", "JSM_NAMESPACE_RANK")
+
+
+def first_process() -> bool:
+    """Whether this is rank zero, or the only process: the one that speaks and tidies."""
+    return all(os.environ.get(name, "0") == "0" for name in _RANKS)
+
 
 def environment() -> dict[str, Any]:
     """Versions of what computed the run, the revision of the sources, the machine."""

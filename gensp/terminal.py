@@ -1,16 +1,17 @@
 """What a run says: a head line for every stage, its end, errors in one line."""
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec
 
-from lightning.pytorch.utilities import rank_zero_only
 from rich.console import Console
 from rich.markup import escape
 
 from gensp.comparison import compare_methods, compare_variants
 from gensp.files import read_json
+from gensp.machine import first_process
 from gensp.tables import rich_table
 
 STAGES = {
@@ -26,24 +27,36 @@ _SHOWN = ("maps", "summary.md", "pictures", "report.html")
 
 # A log file has room for the whole table.
 console = Console(highlight=False, width=None if Console().is_terminal else 140)
+Words = ParamSpec("Words")
 
 
-@rank_zero_only
+def once(speak: Callable[Words, None]) -> Callable[Words, None]:
+    """Let rank zero alone speak."""
+
+    @wraps(speak)
+    def spoken(*words: Words.args, **options: Words.kwargs) -> None:
+        if first_process():
+            speak(*words, **options)
+
+    return spoken
+
+
+@once
 def say(text: str) -> None:
     """One line, on rank zero."""
     console.print(text, soft_wrap=True)
 
 
-@rank_zero_only
+@once
 def warn(text: str) -> None:
     """One line on what a run goes on without, on rank zero."""
     console.print(f"      [yellow]warning:[/yellow] {escape(text)}", soft_wrap=True)
 
 
-@rank_zero_only
-def complain(error: Exception) -> None:
-    """One line on the error stream, on rank zero."""
-    sys.stderr.write(f"error: {error}\n")
+@once
+def complain(line: str) -> None:
+    """What went wrong, on the error stream, on rank zero."""
+    sys.stderr.write(f"error: {line}\n")
 
 
 def announce(stage: str, folder: Path, place: str = "") -> None:
@@ -63,7 +76,7 @@ def report(folder: Path, metrics: Mapping[str, Any], seconds: float) -> None:
             say(f"      {folder / name}")
 
 
-@rank_zero_only
+@once
 def show_variants(experiment: Path) -> None:
     """The end of a pipeline: all variants and methods of the experiment, split by split."""
     comparison = compare_variants(experiment)
@@ -74,7 +87,7 @@ def show_variants(experiment: Path) -> None:
     say(f"      {experiment / 'summary.md'}")
 
 
-@rank_zero_only
+@once
 def show_methods(experiment: Path) -> None:
     """The end of an evaluation: tables and plot of all methods that the experiment has."""
     written = compare_methods(experiment)

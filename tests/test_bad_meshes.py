@@ -135,6 +135,8 @@ DEFECTS: dict[str, tuple[Callable[[Path], None], str, str]] = {
     "huge": (_too_many_faces, "327680 faces; at most 200000", "simplify it"),
 }
 
+BEYOND_REPAIR = {"empty", "no_triangles", "garbage", "truncated", "one_triangle"}
+
 
 @pytest.mark.parametrize("defect", DEFECTS)
 def test_defect_is_told_in_one_line(tmp_path: Path, defect: str) -> None:
@@ -145,10 +147,12 @@ def test_defect_is_told_in_one_line(tmp_path: Path, defect: str) -> None:
         ShapeCollection.from_folder(tmp_path)
     head, line = str(raised.value).split("\n")
     assert "1 of 1 meshes cannot be used" in head
-    assert "shapes.on_bad=skip" in head
+    assert "with on_bad=skip" in head
     assert line.startswith(f"{path}: ")
     assert any(word in line for word in ("required", "allowed", "at most", "at least"))
     assert remedy in line
+    mended = f"gensp repair {path} {defect}_mended.ply"
+    assert (mended in line) == (defect not in BEYOND_REPAIR)
 
 
 @pytest.fixture
@@ -186,7 +190,7 @@ def test_a_folder_of_bad_meshes_is_no_collection(tmp_path: Path) -> None:
 
 
 def test_unknown_rule_names_the_choices(folder: Path) -> None:
-    with pytest.raises(Unsupported, match=r"shapes\.on_bad=ignore: .*error or skip"):
+    with pytest.raises(Unsupported, match=r"^on_bad=ignore: .*error or skip"):
         ShapeCollection.from_folder(folder, on_bad="ignore")
 
 

@@ -208,12 +208,6 @@ def test_help_lists_stages_and_switches() -> None:
         assert word in text
 
 
-def test_a_misspelt_stage_lists_the_stages() -> None:
-    done = train("stage=implict", code=1)
-    assert "implicit" in done.stderr
-    assert "Traceback" not in done.stderr
-
-
 def test_configuration_is_a_package_that_is_installed() -> None:
     script = "import conf, pathlib; print(pathlib.Path(conf.__file__).parent)"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT)

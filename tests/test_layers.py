@@ -33,8 +33,11 @@ ALLOWED["comparison"] = CORE | {"tables", "benchmark", "pictures"}
 ALLOWED["data.modules"] = ALLOWED["data"] | {"runs", "data"}
 ALLOWED["data.training"] = ALLOWED["data"] | {"runs", "data"}
 ALLOWED["tasks"] = set(ALLOWED) - {"data.modules", "data.training"}
-ALLOWED["terminal"] = CORE | {"tables", "comparison"}
-ALLOWED["stages"] = set(ALLOWED)
+ALLOWED["terminal"] = CORE | {"machine", "tables", "comparison"}
+ALLOWED["mistakes"] = CORE | {"terminal"}
+ALLOWED["configuration"] = CORE | {"runs"}
+ALLOWED["stages"] = set(ALLOWED) - {"mistakes", "configuration"}
+ALLOWED["execution"] = CORE | {"configuration", "machine", "runs", "stages"}
 ALLOWED["run"] = set(ALLOWED)
 # For one mesh: beside the stages, neither imports the other.
 ALLOWED["api"] = CORE | {"geometry", "methods"}
@@ -42,8 +45,8 @@ ALLOWED["export"] = CORE | {"geometry"}
 ALLOWED["cli"] = CORE | {"compiled", "geometry", "methods", "api", "export", "pictures"}
 ALLOWED["__main__"] = {"cli"}
 
-LIGHTNING = {"stages", "data.modules", "data.training", "terminal", "run"}
-HYDRA = {"run"}
+LIGHTNING = {"stages", "data.modules", "data.training", "execution"}
+HYDRA = {"configuration", "execution", "mistakes", "run"}
 
 LONGEST = 45  # lines of a function, its docstring included
 LONG: set[str] = set()

@@ -6,13 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gensp.compiled.collapses import collapse_all
+from gensp.compiled.energies import energy_slopes_of, energy_values_of
+from gensp.compiled.growth import insert, sweep
 from gensp.geometry.certificate import certify
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.newton import minimise_map
+from gensp.geometry.progress import listening
 from gensp.geometry.smat_energy import SmatEnergy
 from gensp.geometry.sphere import icosphere, unit
 from gensp.geometry.spherical_energy import SphericalEnergy
-from gensp.methods.hierarchical import SmatPolish, ahsp, dirichlet, smat, stretch
+from gensp.methods.hierarchical import SmatPolish, ahsp, compile_loops, dirichlet, smat, stretch
+from gensp.methods.refinement import CertifiedRefinement
 
 METHODS = {"dirichlet": dirichlet, "stretch": stretch, "ahsp": ahsp, "smat": smat}
 
@@ -39,6 +44,32 @@ def test_map_is_certified_and_keeps_coordinates(method, limbed):
     assert certify(map.sphere, map.faces)
     assert map.diagnostics["bad_faces"] == 0
     assert map.diagnostics["seconds"] > 0
+
+
+def test_nothing_is_left_to_compile(limbed):
+    """The seconds of the first map are those of any other."""
+    compile_loops()
+    assert compile_loops() < 0.01
+    loops = (collapse_all, insert, sweep, energy_values_of, energy_slopes_of)
+    before = [loop.signatures for loop in loops]
+    assert all(len(kinds) == 1 for kinds in before)
+    goals = unit(limbed.vertices)
+    CertifiedRefinement(untangle_up_to=-1.0)(limbed, goals, goals, np.ones(len(goals)))
+    for make in METHODS.values():
+        make()(limbed)
+    assert [loop.signatures for loop in loops] == before
+
+
+def test_progress_is_told_to_who_listens(limbed):
+    told: list[str] = []
+    with listening(told.append):
+        dirichlet()(limbed)
+    count = len(told)
+    assert told[0] == "collapsing the mesh"
+    assert "growing the map: 642 of 642 vertices" in told
+    assert any(line.startswith("Newton step 1 of at most 150, 642") for line in told)
+    dirichlet()(limbed)
+    assert len(told) == count
 
 
 def test_methods_travel_to_workers(method, bumpy):

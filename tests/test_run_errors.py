@@ -1,14 +1,18 @@
 """What a person reads when a run cannot go on: one line, exit code 2, nothing half written."""
 
+import re
 import resource
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from commands import ROOT, command, environment, run_here, smoke_words, train
 
 from gensp.errors import MissingData, OutputError, StaleRun, Unsupported
+from gensp.geometry.mesh import Mesh, save_mesh
+from gensp.geometry.sphere import icosphere
 
 
 def complaint(*words: str) -> str:
@@ -23,6 +27,77 @@ def test_missing_stage_names_the_command(tmp_path: Path) -> None:
     assert line.startswith("error: 'correspond' needs 'augment', but ")
     assert "has no manifest.json; run: python train.py experiment=smoke" in line
     assert line.endswith("stage=augment")
+
+
+def test_bad_meshes_name_the_ways_out(tmp_path: Path) -> None:
+    _write_open(tmp_path / "cup.ply")
+    words = ("shapes=folder", f"shapes.root={tmp_path}", "name=cups", "stage=augment")
+    done = train(*words, f"paths.runs={tmp_path}/runs", f"paths.cache={tmp_path}/cache", code=2)
+    head, line = done.stderr.splitlines()
+    assert head.startswith("error: 1 of 1 meshes cannot be used; ")
+    assert head.endswith("leave them out with shapes.on_bad=skip:")
+    assert line.endswith(f"or type: gensp repair {tmp_path}/cup.ply cup_mended.ply")
+
+
+def _write_open(path: Path) -> None:
+    ball = icosphere(2)
+    save_mesh(Mesh(ball.vertices, ball.faces[1:]), path)
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (
+            ("stage=implict",),
+            "stage=implict: stage has no 'implict'; one of all, augment, correspond, evaluate, "
+            "finetune, implicit, initialize, parameterize is required; did you mean "
+            "stage=implicit?",
+        ),
+        (
+            ("shapes.rot=x",),
+            "shapes.rot: shapes has no 'rot'; one of name, root, on_bad, max_faces, up, cache is "
+            "required; did you mean shapes.root?",
+        ),
+        (
+            ("recipe.implicit.epoch=3",),
+            "recipe.implicit.epoch: recipe.implicit has no 'epoch'; python train.py --help lists "
+            "them; did you mean recipe.implicit.epochs?",
+        ),
+        (
+            ("model/encodr=pointnet2",),
+            "model/encodr: the configuration has no 'model/encodr'; one of model/encoder, "
+            "model/implicit, model/generator is required; did you mean model/encoder?",
+        ),
+        (("-m", "stge=all"), "stge: .*; did you mean stage[?]"),
+        (("foo",), "foo: cannot be read; key=value or group=choice is required"),
+        (
+            ("stage=augment,implicit",),
+            "stage=augment,implicit: several values; one is required; add -m to run one after "
+            "the other",
+        ),
+    ],
+)
+def test_misspelt_words_name_the_nearest(words: tuple[str, ...], line: str) -> None:
+    found = complaint(*words)
+    assert found == f"error: {line}" or re.fullmatch(f"error: {line}", found)
+
+
+def test_what_is_wrong_is_told_without_torch(tmp_path: Path) -> None:
+    script = (
+        "import sys\n"
+        "for name in ('torch', 'lightning', 'matplotlib'): sys.modules[name] = None\n"
+        "sys.path.insert(0, 'tests')\n"
+        "from commands import run_here\n"
+        "from gensp.errors import GenSPError\n"
+        "for words in (['stage=correspond'], ['stage=augment', 'shapes=folder',\n"
+        "              'shapes.root=no'], ['stage=parameterize', 'method=arap',\n"
+        "              'method.start=foo']):\n"
+        "    try: run_here('experiment=smoke', 'paths.runs=" + str(tmp_path) + "', *words)\n"
+        "    except GenSPError as error: print(type(error).__name__)\n"
+    )
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, cwd=ROOT, env=environment(), capture_output=True, text=True)
+    assert done.stdout.split() == ["MissingStage", "MissingData", "Unsupported"], done.stderr
 
 
 def test_other_settings_are_named(smoke: Path) -> None:

@@ -7,8 +7,7 @@ from gensp.errors import GenSPError
 # The library speaks to whoever runs the pipeline; here its remedies are other ones.
 _REMEDIES = {
     # What holds another remedy comes before it.
-    ", raise shapes.max_faces, or set shapes.on_bad=skip": " (gensp repair --remesh does)",
-    ", or set shapes.on_bad=skip": "; gensp check FILE tells more",
+    ", or raise max_faces": " (gensp repair --remesh does)",
     ", or set recipe.fit.own=1": "",
     "; start stiffer with recipe.correspond.registration.schedule": "; leave out --register",
     "the model.pt of stage=finetune or initialize": "a model.pt that holds both",

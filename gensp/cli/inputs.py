@@ -1,15 +1,15 @@
 """What the commands read: sound meshes, maps, methods."""
 
-import shlex
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
+from gensp.cli.terminal import compile_announced, progress
 from gensp.errors import NotGenusZero, UnreadableMesh, Unsupported
 from gensp.files import load_npz
-from gensp.geometry.diagnosis import REMESH, diagnose
+from gensp.geometry.diagnosis import diagnose, repair_command
 from gensp.geometry.mesh import Mesh, load_mesh
 from gensp.geometry.spherical_map import SphericalMap
 from gensp.methods import SphericalParameterization
@@ -27,11 +27,9 @@ def sound_mesh(path: Path) -> Mesh:
     found = diagnose(mesh)
     if not found.usable:
         what = ", ".join(words for words, _ in found.findings)
-        words = ["gensp", "repair", str(path), f"{path.stem}_mended.ply"]
-        if any(remedy == REMESH for _, remedy in found.findings):
-            words.append("--remesh")
         raise NotGenusZero(
-            f"{path}: {what}; one closed surface of genus 0 is required; type: {shlex.join(words)}"
+            f"{path}: {what}; one closed surface of genus 0 is required; type: "
+            f"{repair_command(path, found)}"
         )
     return mesh
 
@@ -125,4 +123,7 @@ def map_of(path: Path, method: SphericalParameterization | None) -> SphericalMap
     if is_map(path):
         return read_map(path)
     assert method is not None
-    return method(sound_mesh(path))
+    mesh = sound_mesh(path)
+    compile_announced()
+    with progress(mesh.name):
+        return method(mesh)

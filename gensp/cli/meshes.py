@@ -8,7 +8,12 @@ import typer
 
 def check(
     files: Annotated[list[Path], typer.Argument(help="Meshes: ply, obj, off or stl.")],
-    max_faces: Annotated[int, typer.Option(min=4, help="Larger meshes are refused.")] = 200_000,
+    max_faces: Annotated[
+        int | None,
+        typer.Option(
+            min=4, help="Larger meshes are refused; the limit of parameterize if not given."
+        ),
+    ] = None,
 ) -> None:
     """Say what is wrong with each mesh and what mends it.
 
@@ -16,20 +21,22 @@ def check(
     degenerate and duplicate faces, duplicate vertices. Exit code 2 if any of
     the meshes cannot be used.
     """
-    from gensp.cli.terminal import show_table
+    from gensp.cli.terminal import sections
     from gensp.errors import BadMesh
+    from gensp.geometry.mesh import MAX_FACES
 
-    rows = [_checked(path, max_faces) for path in files]
-    show_table("", ["mesh", "vertices, faces", "verdict", "found", "remedy"], rows)
-    bad = [path for path, row in zip(files, rows, strict=True) if row[2] != "usable"]
+    found = [_checked(path, max_faces or MAX_FACES) for path in files]
+    sections((str(path), lines) for path, (_, lines) in zip(files, found, strict=True))
+    bad = [path for path, (usable, _) in zip(files, found, strict=True) if not usable]
     if bad:
         raise BadMesh(
             f"{bad[0]}: cannot be used, as {len(bad)} of {len(files)} meshes; one closed surface "
-            "of genus 0 is required; the table names the remedies"
+            "of genus 0 is required; the list names the remedies"
         )
 
 
-def _checked(path: Path, max_faces: int) -> tuple[str, ...]:
+def _checked(path: Path, max_faces: int) -> tuple[bool, list[str]]:
+    """Whether a mesh can be used, and the verdict with all findings."""
     from gensp.errors import BadMesh
     from gensp.geometry.diagnosis import diagnose
     from gensp.geometry.mesh import load_mesh
@@ -38,13 +45,13 @@ def _checked(path: Path, max_faces: int) -> tuple[str, ...]:
         found = diagnose(load_mesh(path), max_faces=max_faces)
     except BadMesh as error:
         what, *_, remedy = str(error).removeprefix(f"{path}: ").split("; ")
-        return str(path), "–", "unreadable", what, remedy
-    words = "\n".join(what for what, _ in found.findings) or "nothing"
-    remedies = "\n".join(dict.fromkeys(remedy for _, remedy in found.findings))
-    if found.usable and remedies:
-        remedies = "none is needed"
-    verdict = "usable" if found.usable else "not usable"
-    return str(path), f"{found.vertices}, {found.faces}", verdict, words, remedies
+        return False, ["unreadable", f"{what} → {remedy}"]
+    size = f"{found.vertices} vertices, {found.faces} faces"
+    if found.usable:
+        seen = ", ".join(what for what, _ in found.findings) or "nothing"
+        return True, [f"usable: {size}; found: {seen}"]
+    findings = [f"{what} → {remedy}" for what, remedy in found.findings]
+    return False, [f"not usable: {size}", *findings]
 
 
 def repair(

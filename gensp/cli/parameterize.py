@@ -39,12 +39,14 @@ def parameterize(
     doubles px py pz) and <stem>_sphere.obj.
     """
     from gensp.cli.inputs import chosen_method, sound_mesh
-    from gensp.cli.terminal import tell_of_compiling, two_columns, written
+    from gensp.cli.terminal import compile_announced, progress, two_columns, written
 
-    began = time.perf_counter()
+    found = chosen_method(method, checkpoint, register)
     surface = sound_mesh(mesh)
-    tell_of_compiling()
-    map = chosen_method(method, checkpoint, register)(surface)
+    compile_announced()
+    began = time.perf_counter()
+    with progress(surface.name):
+        map = found(surface)
     seconds = time.perf_counter() - began
     paths = _write_map(map, out)
     if texture:

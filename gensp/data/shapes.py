@@ -19,7 +19,7 @@ from gensp.data.ground_truth import GroundTruth, load_ground_truth, load_keypoin
 from gensp.data.validation import checked
 from gensp.errors import MissingData, Unsupported
 from gensp.files import content_hash
-from gensp.geometry.mesh import FORMATS, MAX_FACES, Mesh, load_mesh
+from gensp.geometry.mesh import FORMATS, Mesh, load_mesh
 
 SPLITS = ("train", "val", "test")
 SPHERE = "sphere"
@@ -54,7 +54,7 @@ class ShapeCollection:
         *,
         keypoints: Path | None = None,
         on_bad: str = "error",
-        max_faces: int = MAX_FACES,
+        max_faces: int | None = None,
         up: str = "y",
         cache: Path | str | None = None,
     ) -> None:
@@ -72,7 +72,7 @@ class ShapeCollection:
         *,
         name: str | None = None,
         on_bad: str = "error",
-        max_faces: int = MAX_FACES,
+        max_faces: int | None = None,
         test_fraction: float = 0.0,
         split_seed: int = 0,
         up: str = "y",
@@ -118,7 +118,7 @@ class ShapeCollection:
         *,
         name: str = "blobs",
         on_bad: str = "error",
-        max_faces: int = MAX_FACES,
+        max_faces: int | None = None,
         up: str = "y",
         **family: Any,
     ) -> "ShapeCollection":

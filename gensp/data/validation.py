@@ -9,9 +9,11 @@ from typing import Protocol, TypeVar
 
 from gensp.errors import BadMesh, MissingData, Unsupported
 from gensp.files import read_json, write_json
-from gensp.geometry.mesh import load_mesh, require_genus_zero
+from gensp.geometry.diagnosis import diagnose, repair_command
+from gensp.geometry.mesh import MAX_FACES, Mesh, load_mesh, require_genus_zero
 
 _RECORD = "genus_zero.json"
+_FEWEST = 4  # faces of a closed surface
 
 
 class _Named(Protocol):
@@ -25,12 +27,14 @@ ShapeT = TypeVar("ShapeT", bound=_Named)
 
 
 def checked(
-    shapes: Sequence[ShapeT], *, on_bad: str, max_faces: int, cache: Path | str | None
+    shapes: Sequence[ShapeT], *, on_bad: str, max_faces: int | None, cache: Path | str | None
 ) -> tuple[list[ShapeT], list[tuple[str, str]]]:
     """Split shapes into the sound ones and (id, reason) of the others.
 
     Parameters
     ----------
+    max_faces
+        Larger meshes are bad; none is `MAX_FACES`.
     cache
         Folder for the digests of files that have passed; a file is checked again when its content
         or `max_faces` changes.
@@ -43,19 +47,20 @@ def checked(
         No sound mesh is left.
     """
     if on_bad not in ("error", "skip"):
-        raise Unsupported(f"shapes.on_bad={on_bad}: unknown; choose error or skip")
+        raise Unsupported(f"on_bad={on_bad}: is not known; error or skip is required; choose one")
     record = None if cache is None else Path(cache) / _RECORD
     passed = _read_record(record)
     known = len(passed)
-    reasons = {shape.id: _verdict(shape.path, max_faces, passed) for shape in shapes}
+    most = MAX_FACES if max_faces is None else max_faces
+    reasons = {shape.id: _verdict(shape.path, most, passed) for shape in shapes}
     if record is not None and len(passed) > known:
         write_json(record, sorted(passed))
     bad = [(id, reason) for id, reason in reasons.items() if reason is not None]
     lines = "\n".join(reason for _, reason in bad)
     if bad and on_bad == "error":
         raise BadMesh(
-            f"{len(bad)} of {len(shapes)} meshes cannot be used; repair them or leave them out "
-            f"with shapes.on_bad=skip:\n{lines}"
+            f"{len(bad)} of {len(shapes)} meshes cannot be used; mend them, or leave them out "
+            f"with on_bad=skip:\n{lines}"
         )
     sound = [shape for shape in shapes if reasons[shape.id] is None]
     if not sound:
@@ -69,14 +74,24 @@ def _verdict(path: Path, max_faces: int, passed: set[str]) -> str | None:
         digest = _digest(path, max_faces)
         if digest in passed:
             return None
-        mesh = load_mesh(path)
-        require_genus_zero(replace(mesh, name=str(path)), max_faces=max_faces)
+        mesh = replace(load_mesh(path), name=str(path))
     except BadMesh as error:
         return " ".join(str(error).split())
     except OSError as error:
         return f"{path}: cannot be opened ({error.strerror}); a readable file is required"
+    try:
+        require_genus_zero(mesh, max_faces=max_faces)
+    except BadMesh as error:
+        return f"{error}{_way_out(path, mesh, max_faces)}"
     passed.add(digest)
     return None
+
+
+def _way_out(path: Path, mesh: Mesh, max_faces: int) -> str:
+    """The command that mends a mesh, unless there is nothing to mend."""
+    if len(mesh.faces) < _FEWEST:
+        return ""
+    return f", or type: {repair_command(path, diagnose(mesh, max_faces=max_faces))}"
 
 
 def _digest(path: Path, max_faces: int) -> str:

@@ -1,8 +1,7 @@
-"""Geometry images in files: 16-bit PNG with its scale beside it, and 32-bit float TIFF.
+"""Geometry images in files: 16-bit PNG with its scale beside it, and 32-bit float OpenEXR.
 
 Pillow writes no colour PNG of 16 bits, so the few chunks of one are put together here
-(PNG specification, third edition, section 11). No installed package writes OpenEXR under a
-permissive licence; tifffile (BSD), which scikit-image brings along, writes float TIFF.
+(PNG specification, third edition, section 11). OpenEXR is written by its own library.
 """
 
 import struct
@@ -10,8 +9,8 @@ import zlib
 from pathlib import Path
 
 import numpy as np
-import tifffile
-from jaxtyping import Float, UInt16
+import OpenEXR
+from jaxtyping import Float, Float32, UInt16
 
 from gensp.files import atomic_path, write_json
 
@@ -19,7 +18,7 @@ _LARGEST = 65_535
 
 
 def write_geometry_image(positions: Float[np.ndarray, "h w 3"], path: Path) -> list[Path]:
-    """Write `path` as 16-bit PNG, its scale as JSON and the floats as TIFF, named alike.
+    """Write `path` as 16-bit PNG, its scale as JSON and the floats as EXR, named alike.
 
     A position is offset + scale · value / 65535, for every coordinate. Returns the three files.
     """
@@ -27,7 +26,7 @@ def write_geometry_image(positions: Float[np.ndarray, "h w 3"], path: Path) -> l
     # A flat direction has no extent: any scale gives back its one coordinate.
     scale = np.where(high > low, high - low, 1.0)
     values = np.rint(_LARGEST * (positions - low) / scale).astype(np.uint16)
-    png, sidecar, tiff = (path.with_suffix(end) for end in (".png", ".json", ".tiff"))
+    png, sidecar, exr = (path.with_suffix(end) for end in (".png", ".json", ".exr"))
     with atomic_path(png) as temporary:
         temporary.write_bytes(png_bytes(values))
     write_json(
@@ -40,9 +39,15 @@ def write_geometry_image(positions: Float[np.ndarray, "h w 3"], path: Path) -> l
             "size": positions.shape[0],
         },
     )
-    with atomic_path(tiff) as temporary:
-        tifffile.imwrite(temporary, positions.astype(np.float32), photometric="rgb")
-    return [png, sidecar, tiff]
+    with atomic_path(exr) as temporary:
+        _write_exr(positions.astype(np.float32), temporary)
+    return [png, sidecar, exr]
+
+
+def _write_exr(values: Float32[np.ndarray, "h w 3"], path: Path) -> None:
+    """Colours R, G, B of 32 bits, compressed without loss, row by row from the top."""
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {"RGB": np.ascontiguousarray(values)}).write(str(path))
 
 
 def png_bytes(values: UInt16[np.ndarray, "h w 3"]) -> bytes:

@@ -44,6 +44,49 @@ def correspondence_error(
     return np.linalg.norm(implied - true, axis=1) / np.sqrt(map_j.mesh.area)
 
 
+@dataclass(frozen=True)
+class GeneratedShape:
+    """A shape S_i and the image of the icosphere that a generator made for it, g_i.
+
+    Both at the same scale; images that are compared have the same triangles.
+    """
+
+    mesh: Mesh
+    image: Mesh
+
+    @cached_property
+    def on_mesh(self) -> ClosestPointTree:
+        """Closest points of the shape."""
+        return ClosestPointTree(self.mesh)
+
+    @cached_property
+    def on_image(self) -> ClosestPointTree:
+        """Closest points of the generated surface."""
+        return ClosestPointTree(self.image)
+
+
+def prediction_error(
+    shape_i: GeneratedShape, shape_j: GeneratedShape, at_i: SurfacePoints, at_j: SurfacePoints
+) -> Float[np.ndarray, " k"]:
+    """Implied-correspondence error of two generated surfaces, before any map is made of them.
+
+    ‖π_j(g_j(p_k)) − m_ij(x_k)‖ / √area(S_j): g_i(p_k) is the point of the generated surface
+    closest to x_k, π_j the closest point on S_j. Unlike a map read off the surfaces it is defined
+    where these fold.
+
+    Parameters
+    ----------
+    at_i, at_j
+        The same k ground-truth points x_k on S_i and m_ij(x_k) on S_j.
+    """
+    x = at_i.on(shape_i.mesh.vertices, shape_i.mesh.faces)
+    p = shape_i.on_image.query(x).at
+    carried = p.on(shape_j.image.vertices, shape_j.image.faces)
+    implied = shape_j.on_mesh.query(carried).points
+    true = at_j.on(shape_j.mesh.vertices, shape_j.mesh.faces)
+    return np.linalg.norm(implied - true, axis=1) / np.sqrt(shape_j.mesh.area)
+
+
 def pair_rotation(
     map_i: SphericalMap,
     map_j: SphericalMap,

@@ -1,6 +1,8 @@
 """What is wrong with a mesh that should be one closed genus-0 surface, counted."""
 
+import shlex
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import igl
@@ -117,6 +119,14 @@ def diagnose(mesh: Mesh, *, max_faces: int = MAX_FACES) -> Diagnosis:
         complaint=_complaint(mesh, max_faces),
         **counts,
     )
+
+
+def repair_command(path: Path, found: Diagnosis) -> str:
+    """What to type to mend a file with these findings."""
+    words = ["gensp", "repair", str(path), f"{path.stem}_mended.ply"]
+    if any(remedy == REMESH for _, remedy in found.findings):
+        words.append("--remesh")
+    return shlex.join(words)
 
 
 def _complaint(mesh: Mesh, max_faces: int) -> str:

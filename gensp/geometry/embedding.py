@@ -21,6 +21,7 @@ from gensp.geometry.alignment import best_rotation
 from gensp.geometry.decimation import Collapses, Priority, decimate
 from gensp.geometry.mesh import SPHERE_AREA, Mesh
 from gensp.geometry.predicates import bad_faces, spherical_orientation
+from gensp.geometry.progress import tell
 from gensp.geometry.sphere import unit
 
 _TETRAHEDRON = unit(np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]))
@@ -95,12 +96,14 @@ def embed(
     schedule = schedule or Schedule()
     goals = np.zeros_like(mesh.vertices) if target is None else unit(target)
     pulls = np.zeros(len(mesh.vertices)) if target is None else np.broadcast_to(pull, len(goals))
+    tell("collapsing the mesh")
     collapses = decimate(mesh, schedule.priority)
     growing = _Growing(mesh, collapses, schedule, goals, np.ascontiguousarray(pulls, float))
     whole = len(mesh.vertices)
     for size in [*(_sizes(schedule, collapses, whole) if polish else []), whole]:
         while growing.count < size:
             growing.grow(size)
+            tell(f"growing the map: {growing.count} of {whole} vertices")
         if polish is not None and size < whole:
             growing.improve(polish)
     return growing.finished()

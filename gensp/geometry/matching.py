@@ -3,18 +3,23 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
-from scipy.optimize import minimize
-from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
+from jaxtyping import Complex, Float
 
 from gensp.geometry.distortion import isometric_distortion, singular_values
+from gensp.geometry.harmonics import heat_kernel, sphere_grid
 from gensp.geometry.points import SurfacePoints
+from gensp.geometry.rotation_registration import (
+    BANDLIMIT,
+    SMOOTHING,
+    density_signal,
+    register_rotation,
+)
 from gensp.geometry.sphere import icosphere
 from gensp.geometry.spherical_map import SphericalMap
 
-_STARTS, _REFINED = 4608, 8
-_COARSE, _FINE = 2, 4  # icosphere levels at which descriptors are compared
+_CANDIDATES = 8  # rotations that are judged by the descriptors
+_LEVEL = 3  # of the icosphere on whose vertices descriptors are compared
+_SMALLEST = 1e-12  # norm of a signal: below, it is constant
 
 
 @dataclass(frozen=True)
@@ -90,77 +95,48 @@ def descriptors(map: SphericalMap, p: Float[np.ndarray, "k 3"]) -> Float[np.ndar
     The distance of m⁻¹(p) from the centroid, and the logarithm of the area that p stands for, each
     without its mean and divided by its deviation.
     """
-    at = map.locate(p)
-    areas = map.mesh.face_areas
+    at, areas = map.locate(p), map.mesh.face_areas
     on_sphere = SphericalMap(map.sphere, map.sphere, map.faces).mesh.face_areas
-    centre = areas @ map.surface[map.faces].mean(axis=1) / areas.sum()
-    radius = np.linalg.norm(at.on(map.surface, map.faces) - centre, axis=1)
     density = at_vertices(map, np.log(areas) - np.log(np.maximum(on_sphere, 1e-300)))
-    values = np.stack([radius, at.on(density[:, None], map.faces)[:, 0]], axis=1)
+    values = np.stack([_radius(map, at), at.on(density[:, None], map.faces)[:, 0]], axis=1)
     return (values - values.mean(axis=0)) / np.maximum(values.std(axis=0), 1e-12)
+
+
+def _radius(map: SphericalMap, at: SurfacePoints) -> Float[np.ndarray, " k"]:
+    """Distances of surface points from the area's centroid."""
+    areas = map.mesh.face_areas
+    centre = areas @ map.surface[map.faces].mean(axis=1) / areas.sum()
+    return np.linalg.norm(at.on(map.surface, map.faces) - centre, axis=1)
 
 
 def aligning_rotation(source: SphericalMap, target: SphericalMap) -> Float[np.ndarray, "3 3"]:
     """Rotation R of the sphere that makes two maps agree, from the shapes alone.
 
-    The descriptors of both shapes are compared under rotations that cover SO(3) evenly (Alexa
-    2022, "Super-Fibonacci spirals"); the best are refined (Nelder & Mead 1965). It does not
-    depend on the position, rotation or scale of either shape.
-    `rotation_registration.register_rotation` compares the density of area alone, by one FFT; here
-    the distance from the centroid is compared too, at the price of seconds.
+    It does not depend on the position, rotation or scale of either shape. Candidates are the
+    largest maxima over SO(3) of the correlation of both shapes' signals (`shape_signal`); the one
+    is taken under which their descriptors differ least, in the mean square.
     """
-    coarse, starts = icosphere(_COARSE).vertices, _rotations(_STARTS)
-    own = descriptors(source, coarse)
-    other = _Sampled.of(target)
-    errors = np.array([other.error(own, coarse @ turn.T) for turn in starts])
-    fine = icosphere(_FINE - 1).vertices
-    own = descriptors(source, fine)
-    best, least = np.eye(3), np.inf
-    for start in starts[np.argsort(errors)[:_REFINED]]:
-        found = minimize(
-            lambda v, start=start: other.error(own, fine @ (_turn(v) @ start).T),
-            np.zeros(3),
-            method="Nelder-Mead",
-            options={"initial_simplex": 0.15 * np.eye(4, 3, k=-1), "xatol": 1e-3, "fatol": 1e-6},
-        )
-        if found.fun < least:
-            best, least = _turn(found.x) @ start, float(found.fun)
-    return best
+    p = icosphere(_LEVEL).vertices
+    own = descriptors(source, p)
+    found = register_rotation(shape_signal(source), shape_signal(target), candidates=_CANDIDATES)
+    errors = [np.mean((descriptors(target, p @ one.rotation.T) - own) ** 2) for one in found]
+    return found[int(np.argmin(errors))].rotation
 
 
-def _turn(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    matrix: np.ndarray = Rotation.from_rotvec(vector).as_matrix()
-    return matrix
+def shape_signal(map: SphericalMap) -> Complex[np.ndarray, "l o"]:
+    """Harmonic coefficients of the root of the area's density plus i times the distance from c.
+
+    Both parts have norm one, so that the real part of the correlation of two signals is the sum of
+    the correlations of densities and of distances from the centroid c; it also tells apart
+    shapes whose map preserves area.
+    """
+    density = density_signal(map.sphere, map.faces, map.mesh.face_areas)
+    grid = sphere_grid(2 * BANDLIMIT)
+    radius = _radius(map, map.locate(grid.points.reshape(-1, 3))).reshape(grid.points.shape[:2])
+    distance = grid.coefficients(radius, BANDLIMIT) * heat_kernel(BANDLIMIT, SMOOTHING)[:, None]
+    distance[0] = 0  # as in the density: the mean is the same in every rotation
+    return _normed(density) + 1j * _normed(distance)
 
 
-@dataclass(frozen=True)
-class _Sampled:
-    """Descriptors of a shape on an icosphere, looked up by the three nearest vertices."""
-
-    tree: cKDTree
-    values: Float[np.ndarray, "k 2"]
-
-    @classmethod
-    def of(cls, map: SphericalMap) -> "_Sampled":
-        p = icosphere(_FINE).vertices
-        return cls(cKDTree(p), descriptors(map, p))
-
-    def error(self, own: Float[np.ndarray, "k 2"], p: Float[np.ndarray, "k 3"]) -> float:
-        """Mean squared difference of descriptors at points p of this shape's sphere."""
-        far, near = self.tree.query(p, k=3)
-        weights = 1 / np.maximum(far, 1e-9)
-        weights /= weights.sum(axis=1, keepdims=True)
-        there = np.einsum("kj,kjc->kc", weights, self.values[near])
-        return float(np.mean((there - own) ** 2))
-
-
-def _rotations(count: int) -> Float[np.ndarray, "count 3 3"]:
-    """Evenly spread rotations, by the super-Fibonacci spiral."""
-    phi, psi = np.sqrt(2.0), 1.533751168755204288118041
-    s = np.arange(count) + 0.5
-    small, large = np.sqrt(s / count), np.sqrt(1 - s / count)
-    alpha, beta = 2 * np.pi * s / phi, 2 * np.pi * s / psi
-    parts = (small * np.sin(alpha), small * np.cos(alpha), large * np.sin(beta))
-    quaternions = np.stack([*parts, large * np.cos(beta)], axis=1)
-    matrices: np.ndarray = Rotation.from_quat(quaternions).as_matrix()
-    return matrices
+def _normed(signal: Complex[np.ndarray, "l o"]) -> Complex[np.ndarray, "l o"]:
+    return signal / max(float(np.linalg.norm(signal)), _SMALLEST)

@@ -134,53 +134,51 @@ def require_genus_zero(mesh: Mesh, *, max_faces: int = MAX_FACES) -> None:
     if components > 1:
         raise NotGenusZero(
             f"{mesh.name}: {components} connected components; exactly one is required; keep the "
-            "largest or join them, or set shapes.on_bad=skip"
+            "largest or join them"
         )
     if mesh.euler != 2:
         raise NotGenusZero(
             f"{mesh.name}: Euler characteristic {mesh.euler} (genus {1 - mesh.euler // 2}); genus "
-            "0 is required; cut the handles and close them, or set shapes.on_bad=skip"
+            "0 is required; cut the handles and close them"
         )
     if signed_volume(mesh) <= 0:
         raise NotGenusZero(
             f"{mesh.name}: the faces look inwards (signed volume {signed_volume(mesh):.3g}); "
-            "outward orientation is required; flip all faces, or set shapes.on_bad=skip"
+            "outward orientation is required; flip all faces"
         )
 
 
 def _require_sound_triangles(mesh: Mesh, max_faces: int) -> None:
-    remedy = "or set shapes.on_bad=skip"
     if len(mesh.faces) > max_faces:
         raise DegenerateMesh(
             f"{mesh.name}: {len(mesh.faces)} faces; at most {max_faces} are taken; simplify it, "
-            f"raise shapes.max_faces, {remedy}"
+            "or raise max_faces"
         )
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
         raise DegenerateMesh(
             f"{mesh.name}: a face names vertex {mesh.faces.max()} of {len(mesh.vertices)}; "
-            f"indices within the vertex list are required; export it again, {remedy}"
+            f"indices within the vertex list are required; export it again"
         )
     if not np.isfinite(mesh.vertices).all():
         count = int((~np.isfinite(mesh.vertices).all(axis=1)).sum())
         raise DegenerateMesh(
             f"{mesh.name}: {count} vertices are not finite numbers; finite coordinates are "
-            f"required; export it again, {remedy}"
+            f"required; export it again"
         )
     if len(mesh.faces) < 4:
         raise DegenerateMesh(
-            f"{mesh.name}: {len(mesh.faces)} faces; a closed surface has at least 4; replace it, "
-            f"{remedy}"
+            f"{mesh.name}: {len(mesh.faces)} faces; a closed surface has at least 4; replace it"
         )
-    _require_area(mesh, remedy)
+    _require_area(mesh)
 
 
-def _require_area(mesh: Mesh, remedy: str) -> None:
+def _require_area(mesh: Mesh) -> None:
     repeated = (np.diff(np.sort(mesh.faces, axis=1), axis=1) == 0).any(axis=1)
     flat = repeated | (mesh.face_areas <= 1e-15 * max(mesh.area, np.finfo(float).tiny))
     if flat.any():
         raise DegenerateMesh(
             f"{mesh.name}: {int(flat.sum())} triangles without area (first: face "
-            f"{int(np.argmax(flat))}); positive areas are required; remesh it, {remedy}"
+            f"{int(np.argmax(flat))}); positive areas are required; remesh it"
         )
 
 
@@ -189,7 +187,7 @@ def _require_closed_manifold(mesh: Mesh) -> None:
     if used != len(mesh.vertices):
         raise NotGenusZero(
             f"{mesh.name}: {len(mesh.vertices) - used} vertices belong to no face; none is "
-            "allowed; remove them, or set shapes.on_bad=skip"
+            "allowed; remove them"
         )
     start, end = mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).T
     # One number per edge: rows sort ten times slower.
@@ -203,18 +201,17 @@ def _require_closed_manifold(mesh: Mesh) -> None:
     for fault, found, remedy in faults:
         if fault.any():
             raise NotGenusZero(
-                f"{mesh.name}: {int(fault.sum())} {found}; a closed manifold is required; "
-                f"{remedy}, or set shapes.on_bad=skip"
+                f"{mesh.name}: {int(fault.sum())} {found}; a closed manifold is required; {remedy}"
             )
     if len(np.unique(directed)) != 2 * len(undirected):
         raise NotGenusZero(
             f"{mesh.name}: neighbouring faces disagree in orientation; one consistent outward "
-            "orientation is required; reorient the faces, or set shapes.on_bad=skip"
+            "orientation is required; reorient the faces"
         )
     if _fans(directed, backward) != len(mesh.vertices):
         raise NotGenusZero(
             f"{mesh.name}: a vertex joins several sheets (non-manifold); a closed manifold is "
-            "required; split the vertex, or set shapes.on_bad=skip"
+            "required; split the vertex"
         )
 
 

@@ -12,6 +12,7 @@ from gensp.geometry.assembly import HessianPattern
 from gensp.geometry.linear import factored
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.predicates import bad_faces, spherical_orientation
+from gensp.geometry.progress import tell
 from gensp.geometry.sphere import tangent_frame, unit
 from gensp.geometry.spherical_energy import SphericalEnergy, project_positive
 
@@ -170,6 +171,7 @@ def _minimise(
     relative, absolute = tolerances
     value, solver = problem.value(u), None
     for iteration in range(max_iterations):
+        tell(f"Newton step {iteration + 1} of at most {max_iterations}, {len(u)} vertices")
         frames = tangent_frame(u)
         gradient, hessian = problem.gradient(u, frames), problem.hessian(u, frames)
         try:

@@ -11,7 +11,7 @@ from gensp.geometry.consistency import nearest_neighbours
 GROUPS = ("train", "val", "test", "all")
 NORMALIZATION = "surface and sphere triangulations scaled to total area 4π, chordal triangles"
 THRESHOLDS = np.linspace(0, 0.1, 51)
-_DENSE = ("error", "error_rotated", "error_registered")
+_DENSE = ("error", "error_rotated", "error_registered", "error_prediction")
 _NEIGHBOURS = tuple(
     name + suffix for name in ("c", "c_area") for suffix in ("", "_rotated", "_registered")
 )
@@ -57,7 +57,11 @@ def group_figures(
         **_shape_figures(shapes),
         "pairs": len(dense),
         **_means(dense, _DENSE),
-        **{f"{key}_median": _statistic(np.median, dense, key) for key in _DENSE if dense},
+        **{
+            f"{key}_median": _statistic(np.median, dense, key)
+            for key in _DENSE
+            if _values(dense, key)
+        },
         "neighbour_pairs": len(near),
         **_means(near, _NEIGHBOURS),
         "keypoint_pairs": len(keypoints),

@@ -100,12 +100,8 @@ class Evaluate:
 
     def _prediction(self, id: str, mesh: Mesh) -> Row:
         """Coverage of the surface that the generator made of the icosphere, if there is one."""
-        path = self.parameterize / "predictions" / f"{id}.npz"
-        generated = load_npz(path).get("generated") if path.is_file() else None
-        if generated is None:
-            return {}
-        surface = Mesh(generated.astype(float), icosphere_of(len(generated)).faces, id)
-        return _coverage("prediction_coverage", mesh, surface)
+        surface = predicted_surface(self.parameterize, id, "generated")
+        return {} if surface is None else _coverage("prediction_coverage", mesh, surface)
 
 
 def _coverage(name: str, mesh: Mesh, surface: Mesh) -> Row:
@@ -116,6 +112,21 @@ def _coverage(name: str, mesh: Mesh, surface: Mesh) -> Row:
 def map_path(parameterize: Path, id: str) -> Path:
     """Where the map of a shape is kept."""
     return parameterize / "maps" / f"{id}.npz"
+
+
+def predicted_surface(parameterize: Path, id: str, kind: str) -> Mesh | None:
+    """A prediction's image of the icosphere, at area 4π of the shape, or none.
+
+    Parameters
+    ----------
+    kind
+        "generated", or "fitted": what the map was read off.
+    """
+    path = parameterize / "predictions" / f"{id}.npz"
+    points = load_npz(path).get(kind) if path.is_file() else None
+    return (
+        None if points is None else Mesh(points.astype(float), icosphere_of(len(points)).faces, id)
+    )
 
 
 def mapped_ids(collection: ShapeCollection, parameterize: Path) -> list[str]:
@@ -148,7 +159,8 @@ def _evaluated(
     keypoints = collection.keypoints(map.name)
     for known in (truth, keypoints):
         _require_fit(map, known, path)
-    return EvaluatedMap(map, truth, keypoints, samples=samples)
+    image = predicted_surface(path.parents[1], map.name, "fitted")
+    return EvaluatedMap(map, truth, keypoints, samples=samples, image=image)
 
 
 def _require_fit(map: SphericalMap, truth: GroundTruth | None, path: Path) -> None:

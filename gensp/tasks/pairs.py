@@ -10,13 +10,15 @@ from jaxtyping import Complex, Float
 
 from gensp.data.ground_truth import GroundTruth, common_points
 from gensp.geometry.consistency import (
+    GeneratedShape,
     HausdorffIndex,
     area_uniform_weights,
     correspondence_error,
     pair_rotation,
+    prediction_error,
     sphere_uniform_weights,
 )
-from gensp.geometry.mesh import normalize
+from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.points import SurfacePoints
 from gensp.geometry.rotation_registration import density_signal, register_rotation
 from gensp.geometry.spherical_map import SphericalMap
@@ -28,7 +30,13 @@ Points = tuple[SurfacePoints, SurfacePoints]
 
 
 class EvaluatedMap:
-    """One map at area 4π with what all of its pairs share."""
+    """One map at area 4π with what all of its pairs share.
+
+    Parameters
+    ----------
+    image
+        The surface that the map was read off, if it was.
+    """
 
     def __init__(
         self,
@@ -37,9 +45,11 @@ class EvaluatedMap:
         keypoints: GroundTruth | None = None,
         *,
         samples: int = 10_000,
+        image: Mesh | None = None,
     ) -> None:
         self.map = replace(map, surface=normalize(map.mesh).vertices)
         self.truth, self.keypoints = truth, keypoints
+        self.prediction = None if image is None else GeneratedShape(self.map.mesh, image)
         self.samples = samples
         self.hausdorff = HausdorffIndex(self.map.mesh)
 
@@ -130,4 +140,8 @@ def _errors(
         record["error" + suffix] = float((there.mean() + back.mean()) / 2)
         record["error_max" + suffix] = float(max(there.max(), back.max()))
         errors[suffix] = (there, back)
+    if a.prediction and b.prediction:
+        there = prediction_error(a.prediction, b.prediction, at_a, at_b)
+        back = prediction_error(b.prediction, a.prediction, at_b, at_a)
+        record["error_prediction"] = float((there.mean() + back.mean()) / 2)
     return record, errors

@@ -14,6 +14,7 @@ from gensp.data.shapes import ShapeCollection
 from gensp.files import save_npz
 from gensp.geometry.spherical_map import save_map
 from gensp.methods import SphericalParameterization
+from gensp.methods.hierarchical import compile_loops
 
 MakeMethod = Callable[[], SphericalParameterization]
 
@@ -35,11 +36,13 @@ class Parameterize:
     def __call__(self, id: str) -> Row:
         """Write the shape's files and give its row of diagnostics."""
         mesh = self.collection.mesh(id)
+        compiling = compile_loops()
         map = _method(pickle.dumps(self.make))(mesh)
         if map.arrays:
             save_npz(self.folder / "predictions" / f"{id}.npz", **map.arrays)
         save_map(map, self.folder / "maps")
-        numbers = {key: _plain(value) for key, value in map.diagnostics.items()}
+        timed = {**map.diagnostics, "seconds_compile": compiling}
+        numbers = {key: _plain(value) for key, value in timed.items()}
         shape = self.collection.shape(id)
         return {"id": id, "split": shape.split, "vertices": len(mesh.vertices), **numbers}
 

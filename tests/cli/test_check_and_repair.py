@@ -55,6 +55,17 @@ def test_check_lists_all_and_ends_well_if_all_are_usable(
         assert words in said
 
 
+def test_check_breaks_no_name(gensp: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "a_folder_whose_name_alone_fills_half_of_a_line"
+    folder.mkdir()
+    ring = folder / "a_mesh_with_a_name_as_long_as_that_of_its_folder.ply"
+    DEFECTS["genus_one"][0](ring)
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = gensp("check", ring)[1].splitlines()
+    assert lines[0] == str(ring)
+    assert lines[-1] == "  genus 1 → gensp repair --remesh"
+
+
 @pytest.mark.parametrize("end", [".ply", ".obj", ".off"])
 def test_repair_writes_a_sound_mesh(gensp: Run, tmp_path: Path, end: str) -> None:
     broken, mended = tmp_path / "cup.ply", tmp_path / f"mended{end}"

@@ -1,5 +1,6 @@
 """`gensp parameterize`: every file it writes reads back."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -52,6 +53,20 @@ def _same_in_ply(path: Path, map: SphericalMap) -> None:
     np.testing.assert_array_equal(sphere, map.sphere)
     np.testing.assert_array_equal(load_mesh(path).vertices, map.surface)
     assert certify(sphere, load_mesh(path).faces)
+
+
+def test_glb_reads_its_picture_at_full_size(map_file: Path, tmp_path: Path) -> None:
+    """Without mipmaps, which blur it at the poles; repeated along the longitude."""
+    map, picture = load_map(map_file), np.zeros((8, 16, 3), dtype=np.uint8)
+    (glb, *_) = write_textured(map, picture, tmp_path / "shape")
+    content = glb.read_bytes()
+    length = int.from_bytes(content[12:16], "little")
+    tree = json.loads(content[20 : 20 + length])
+    (texture,), (sampler,) = tree["textures"], tree["samplers"]
+    assert texture["sampler"] == 0
+    linear, repeat = 9729, 10497
+    assert (sampler["magFilter"], sampler["minFilter"]) == (linear, linear)
+    assert sampler["wrapS"] == repeat
 
 
 @pytest.mark.parametrize("end", [".glb", ".obj"])
@@ -148,3 +163,14 @@ def test_model_from_a_file(gensp: Run, bumpy: Mesh, bumpy_file: Path, tmp_path: 
     model = package.load(tmp_path / "model.pt")
     own = package.parameterize(bumpy.vertices, bumpy.faces, method=model)
     np.testing.assert_array_equal(own, load_map(tmp_path / "out" / "bumpy.npz").sphere)
+
+
+def test_slow_maps_say_how_far_they_are(
+    gensp: Run, bumpy_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gensp.cli.terminal.EVERY", 0.0)
+    code, _, said = gensp("parameterize", bumpy_file, "--out", tmp_path)
+    lines = said.splitlines()
+    assert code == 0
+    assert "bumpy: growing the map: 642 of 642 vertices" in lines
+    assert all(line.startswith("bumpy: ") for line in lines)

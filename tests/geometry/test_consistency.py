@@ -5,12 +5,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gensp.geometry.consistency import (
+    GeneratedShape,
     HausdorffIndex,
     area_uniform_weights,
     correspondence_error,
     coverage,
     nearest_neighbours,
     pair_rotation,
+    prediction_error,
     sphere_uniform_weights,
 )
 from gensp.geometry.distance import hausdorff
@@ -43,6 +45,26 @@ def test_shared_parameterization_is_the_ground_truth(
     # Both maps come from one icosphere, so equal barycentric coordinates correspond.
     error = correspondence_error(radial(bumpy), radial(ellipsoid), points, points)
     assert error.max() < 1e-12
+
+
+def test_a_generator_that_is_right_has_no_error(
+    bumpy: Mesh, ellipsoid: Mesh, points: SurfacePoints
+) -> None:
+    first, second = GeneratedShape(bumpy, bumpy), GeneratedShape(ellipsoid, ellipsoid)
+    assert prediction_error(first, second, points, points).max() < 1e-12
+
+
+def test_generated_surfaces_on_the_shapes_err_as_their_maps_do(
+    bumpy: Mesh, ellipsoid: Mesh, points: SurfacePoints
+) -> None:
+    """The other route: maps that are read off the generated surfaces."""
+    turned = radial(ellipsoid).rotated(TURN)
+    image = ellipsoid.with_vertices(turned.to_surface(icosphere(3).vertices))
+    shapes = GeneratedShape(bumpy, bumpy), GeneratedShape(ellipsoid, image)
+    found = prediction_error(*shapes, points, points)
+    expected = correspondence_error(radial(bumpy), turned, points, points)
+    assert expected.mean() > 0.05
+    np.testing.assert_allclose(found, expected, atol=0.02 * expected.mean())
 
 
 def test_known_rotation_on_the_sphere_is_the_distance_it_moves_points(

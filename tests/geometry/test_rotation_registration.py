@@ -73,6 +73,14 @@ def test_transform_agrees_with_turned_coefficients(lopsided, ellipsoid):
         assert values[tuple(index)] == pytest.approx(np.vdot(b, turned).real, abs=1e-12)
 
 
+def test_imaginary_parts_add_a_second_correlation(lopsided, ellipsoid):
+    first, second = signal(lopsided), signal(lopsided, TURN)
+    other = signal(ellipsoid), signal(ellipsoid, MIRROR)
+    both = rotation_correlation(first + 1j * other[0], second + 1j * other[1], 2 * LIMIT)
+    apart = [rotation_correlation(a, b, 2 * LIMIT) for a, b in ((first, second), other)]
+    np.testing.assert_allclose(both, sum(apart), atol=1e-12)
+
+
 def test_no_random_rotation_correlates_more(lopsided, ellipsoid):
     a, b = signal(lopsided), signal(ellipsoid)
     best = register_rotation(a, b)[0]

@@ -60,8 +60,10 @@ def maps(tmp_path: Path, collection: ShapeCollection) -> Run:
         sphere = icosphere(3).vertices @ (TURN.T if id == "dumbbell" else np.eye(3))
         save_map(SphericalMap(sphere, mesh.vertices, mesh.faces, id), folder / "maps")
         write_json(folder / "rows" / f"{id}.json", {"id": id, "seconds": 2.0})
-    generated = 0.9 * normalize(collection.mesh("bumpy")).vertices
-    save_npz(folder / "predictions" / "bumpy.npz", generated=generated, code=np.zeros(2))
+    for id in ("bumpy", "ellipsoid"):
+        shape = normalize(collection.mesh(id)).vertices
+        path = folder / "predictions" / f"{id}.npz"
+        save_npz(path, generated=0.9 * shape, fitted=shape, code=np.zeros(2))
     write_json(folder / "rows" / "gone.json", {"id": "gone", "error": "gone: not embeddable"})
     return Run(folder)
 
@@ -107,6 +109,9 @@ def test_maps_that_agree_have_no_error_and_turned_ones_none_after_rotation(
         assert float(row["c_area_rotated"]) < 1e-7
         assert (float(row["error"]) > 0.05) == turned
         assert (float(row["c"]) > 0.05) == turned
+        # What the maps were read off is known of two shapes, and meets them exactly.
+        assert (row["error_prediction"] == "") == turned
+        assert turned or float(row["error_prediction"]) < 1e-9
 
 
 def test_rows_hold_what_is_known_of_each_map(

@@ -1,0 +1,132 @@
+"""What a configuration says, and what must be right about it before anything is computed.
+
+Needs neither torch nor Lightning, so that what is wrong is told at once.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from hydra.errors import InstantiationException
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import InterpolationKeyError
+
+from gensp.errors import GenSPError, MissingData, Unsupported
+from gensp.runs import Run, Runs
+
+_TRAINER_SCIENCE = (
+    "max_epochs",
+    "max_steps",
+    "precision",
+    "accumulate_grad_batches",
+    "gradient_clip_val",
+    "limit_train_batches",
+    "overfit_batches",
+    "fast_dev_run",
+)
+
+
+def require_taken(cfg: DictConfig, overrides: Sequence[str]) -> None:
+    """Refuse what was asked for and would be ignored.
+
+    Raises
+    ------
+    Unsupported
+        A fit or a refinement was typed that the method does not take.
+    """
+    method = cfg.method.name
+    for part in ("fit", "refine"):
+        typed = [word for word in overrides if re.match(rf"\+*{part}[.=]", word)]
+        if typed and part not in cfg.method.takes:
+            takes = (
+                ", ".join(f"{word}=" for word in cfg.method.takes) or "neither fit= nor refine="
+            )
+            raise Unsupported(
+                f"{typed[0]}: was found with method={method}, which takes {takes}; leave it out, "
+                f"or choose method=gensp"
+            )
+
+
+def require_values(cfg: DictConfig) -> None:
+    """Refuse a configuration with a value missing, or with a word that its table does not have.
+
+    Raises
+    ------
+    MissingData, Unsupported
+        The key, and what it may hold.
+    """
+    try:
+        missing = sorted(OmegaConf.missing_keys(cfg))
+    except InterpolationKeyError as error:
+        raise Unsupported(_unknown_word(cfg, str(error))) from None
+    if missing:
+        raise MissingData(
+            f"{', '.join(missing)}: no value was given; one is required; add {missing[0]}=VALUE"
+        )
+
+
+def _unknown_word(cfg: DictConfig, complaint: str) -> str:
+    """What to tell when a key holds a word that a table of the configuration does not have."""
+    found = re.search(r"'([^']+)' not found", complaint)
+    words = found.group(1).split(".") if found else []
+    for place, word in enumerate(words):
+        table = ".".join(words[:place])
+        known = OmegaConf.select(cfg, table) if table else cfg
+        if word not in known:
+            return f"{table}: has no '{word}'; one of {', '.join(map(str, known))} is required"
+    return complaint.splitlines()[0]
+
+
+def runs_of(cfg: DictConfig, overrides: Sequence[str] = ()) -> Runs:
+    """The folders that a configuration reads and writes."""
+    words = [word for word in overrides if not word.startswith(("stage=", "force=", "debug="))]
+    maps = {"parameterize": cfg.method.variant, "evaluate": cfg.method.variant}
+    return Runs(
+        root=Path(cfg.paths.runs),
+        experiment=cfg.name,
+        variant=cfg.ablation.name,
+        shares={**maps, **cfg.ablation.shares},
+        inputs=dict(cfg.inputs),
+        command=" ".join(["python train.py", *(words or [f"experiment={cfg.name}"])]),
+    )
+
+
+def settings_of(cfg: DictConfig, inputs: Mapping[str, Run]) -> dict[str, Any]:
+    """What decides the numbers: stage, data, seed, what was read; no machine, no path."""
+    bare = cfg.copy()
+    OmegaConf.set_struct(bare, False)
+    bare.paths = {key: f"<{key}>" for key in cfg.paths}
+    bare.workers = None
+    trainer = OmegaConf.to_container(bare.trainer, resolve=True)
+    # Only stages whose work names the collection read its files; the others see it by `inputs`.
+    reads = "collection" in (cfg.data.get("task") or {})
+    return {
+        "stage": OmegaConf.to_container(bare.stage, resolve=True),
+        "data": _without_workers(OmegaConf.to_container(bare.data, resolve=True)),
+        "trainer": {key: trainer.get(key) for key in _TRAINER_SCIENCE},
+        "seed": cfg.seed,
+        "shapes": made(cfg.shapes).fingerprint if reads else None,
+        "inputs": {name: found.outputs for name, found in inputs.items()},
+    }
+
+
+def _without_workers(node: Any) -> Any:
+    if isinstance(node, dict):
+        return {
+            key: _without_workers(value)
+            for key, value in node.items()
+            if key not in ("workers", "num_workers")
+        }
+    return [_without_workers(value) for value in node] if isinstance(node, list) else node
+
+
+def made(node: DictConfig, **given: Any) -> Any:
+    """The object that a node of the configuration describes; its own errors come out bare."""
+    try:
+        return instantiate(node, _partial_=True, _convert_="all")(**given)
+    except InstantiationException as error:
+        if isinstance(error.__cause__, GenSPError | OSError):
+            raise error.__cause__ from None
+        raise

@@ -1,0 +1,69 @@
+"""One stage carried out by Lightning; imported when there is something to compute."""
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from lightning import Trainer, seed_everything
+from omegaconf import DictConfig, OmegaConf
+
+from gensp.configuration import made
+from gensp.files import write_text
+from gensp.machine import first_process
+from gensp.runs import Progress, Run, begin
+from gensp.stages.callbacks import WholeCheckpoints
+from gensp.stages.session import carry_out, close, conclude, quiet, threads
+
+
+def execute(
+    cfg: DictConfig,
+    folder: Path,
+    inputs: Mapping[str, Run],
+    settings: Mapping[str, Any],
+    state: Progress,
+) -> float | None:
+    """Build data, module and trainer, run the stage's verb and seal its folder.
+
+    Returns
+    -------
+    float or None
+        The stage's headline metric; None where nothing is kept.
+    """
+    began = time.monotonic()
+    quiet()
+    seed_everything(cfg.seed, workers=True, verbose=False)
+    torch.set_num_threads(cfg.threads or threads())
+    data = made(cfg.data, inputs=inputs, folder=folder)
+    module = made(cfg.stage.module, inputs=inputs, folder=folder)
+    # After the inputs have proved good: a mistyped folder leaves no trace.
+    _begin(cfg, folder, settings, state)
+    loggers = [made(node, save_dir=str(folder)) for node in (cfg.logger or {}).values()]
+    trainer = _trainer(cfg, folder, loggers)
+    for logger in loggers:
+        logger.log_hyperparams(OmegaConf.to_container(cfg, resolve=True))
+    try:
+        carry_out(trainer, cfg.stage.verb, module, data, resume=state is Progress.SOME)
+        if not cfg.keep:
+            return None
+        return conclude(trainer, module, settings=settings, inputs=inputs, began=began)
+    finally:
+        close(loggers)
+
+
+def _begin(cfg: DictConfig, folder: Path, settings: Mapping[str, Any], state: Progress) -> None:
+    if state is Progress.NOTHING and first_process():
+        begin(folder, settings)
+        write_text(folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
+
+
+def _trainer(cfg: DictConfig, folder: Path, loggers: list[Any]) -> Trainer:
+    callbacks = [made(node) for node in (cfg.callbacks or {}).values()]
+    return made(
+        cfg.trainer,
+        callbacks=callbacks,
+        logger=loggers or False,
+        default_root_dir=str(folder),
+        plugins=[WholeCheckpoints()],
+    )
