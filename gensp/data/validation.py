@@ -11,6 +11,7 @@ from gensp.errors import BadMesh, MissingData, Unsupported
 from gensp.files import read_json, write_json
 from gensp.geometry.mesh import load_mesh, require_genus_zero
 
+KEEP = "keep"  # nothing is checked here, because stage=prepare does it
 _RECORD = "genus_zero.json"
 
 
@@ -42,6 +43,8 @@ def checked(
     MissingData
         No sound mesh is left.
     """
+    if on_bad == KEEP:
+        return list(shapes), []
     if on_bad not in ("error", "skip"):
         raise Unsupported(f"shapes.on_bad={on_bad}: unknown; choose error or skip")
     record = None if cache is None else Path(cache) / _RECORD
