@@ -19,9 +19,10 @@ from lightning.pytorch.utilities import rank_zero_only
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import InterpolationKeyError
 
+from gensp.data.validation import KEEP
 from gensp.errors import GenSPError, MissingData, OutputError, Unsupported
 from gensp.files import write_text
-from gensp.runs import Progress, Run, Runs, begin, clear, restart, tidy
+from gensp.runs import Progress, Run, Runs, begin, clear, require_own, restart, tidy
 from gensp.stages.callbacks import WholeCheckpoints
 from gensp.stages.session import carry_out, close, conclude, quiet, threads
 from gensp.terminal import announce, complain, say, show_methods, show_variants
@@ -56,6 +57,7 @@ def run(cfg: DictConfig, overrides: Sequence[str] = ()) -> float | None:
         A fit or a refinement was typed that the method does not take.
     """
     _require_taken(cfg, overrides)
+    _require_checked(cfg)
     if cfg.stage.name == "all":
         return run_pipeline(cfg, overrides)
     return run_stage(cfg, overrides)
@@ -74,6 +76,25 @@ def _require_taken(cfg: DictConfig, overrides: Sequence[str]) -> None:
                 f"{typed[0]}: was found with method={method}, which takes {takes}; leave it out, "
                 f"or choose method=gensp"
             )
+
+
+def _require_checked(cfg: DictConfig) -> None:
+    """Unchecked meshes go to stage=prepare alone, and it spares the folder they come from."""
+    rule, stage = cfg.shapes.get("on_bad"), cfg.stage.name
+    if (rule == KEEP) != (stage == "prepare"):
+        raise Unsupported(
+            f"shapes.on_bad={rule}: was found with stage={stage}; stage=prepare sets {KEEP}, "
+            "other stages need error or skip; leave it out"
+        )
+    out, root = cfg.prepare.out, cfg.shapes.get("root")
+    if stage != "prepare" or out is None or root is None:
+        return
+    place, raw = Path(out).resolve(), Path(root).resolve()
+    if place == raw or place in raw.parents:
+        raise Unsupported(
+            f"prepare.out={out}: holds shapes.root={root}; a folder of its own is required, "
+            "because it may be cleared; name one that does not exist yet"
+        )
 
 
 def run_pipeline(cfg: DictConfig, overrides: Sequence[str] = ()) -> float | None:
@@ -130,6 +151,8 @@ def run_stage(cfg: DictConfig, overrides: Sequence[str] = (), place: str = "") -
     folder = runs.folder(name)
     inputs = {need: runs.open(need, needed_by=name) for need in cfg.stage.needs}
     settings = settings_of(cfg, inputs)
+    if runs.outputs.get(name):
+        require_own(folder, name)
     announce(name, folder, place)
     with _output_errors(folder):
         headline = _bring_to_end(cfg, folder, runs, inputs, settings)
@@ -184,6 +207,7 @@ def runs_of(cfg: DictConfig, overrides: Sequence[str] = ()) -> Runs:
         variant=cfg.ablation.name,
         shares={**maps, **cfg.ablation.shares},
         inputs=dict(cfg.inputs),
+        outputs={"prepare": cfg.prepare.out},
         command=" ".join(["python train.py", *(words or [f"experiment={cfg.name}"])]),
     )
 

@@ -27,7 +27,7 @@ _PATTERN = "registrations_*.hdf5"
 
 
 @dataclass(frozen=True)
-class Sequence3D:
+class Motion:
     """One dataset <subject>_<sequence> of a file: so many frames (V, 3, frames)."""
 
     subject: str
@@ -169,7 +169,7 @@ def _evenly(frames: list[str], count: int | None, side: str, root: Path) -> list
     return [frames[place] for place in places]
 
 
-def _listed(root: Path) -> list[Sequence3D]:
+def _listed(root: Path) -> list[Motion]:
     files = sorted(root.glob(_PATTERN)) if root.is_dir() else []
     if not files:
         raise MissingData(
@@ -179,7 +179,7 @@ def _listed(root: Path) -> list[Sequence3D]:
     return [entry for path in files for entry in _sequences(path)]
 
 
-def _sequences(path: Path) -> Iterator[Sequence3D]:
+def _sequences(path: Path) -> Iterator[Motion]:
     with _opened(path) as file:
         if "faces" not in file:
             raise UnreadableMesh(
@@ -190,16 +190,14 @@ def _sequences(path: Path) -> Iterator[Sequence3D]:
             shape = getattr(file[key], "shape", ())
             if "_" not in key or len(shape) != 3 or shape[1] != 3:
                 raise UnreadableMesh(
-                    f"{path}: '{key}' has the shape {shape}; <subject>_<sequence> of (V, 3, frames) "
-                    "is required; download it again"
+                    f"{path}: '{key}' has the shape {shape}; <subject>_<sequence> of shape "
+                    "(V, 3, frames) is required; download it again"
                 )
             subject, name = key.split("_", 1)
-            yield Sequence3D(subject, name, path, int(shape[2]))
+            yield Motion(subject, name, path, int(shape[2]))
 
 
-def _require_known(
-    held_out: tuple[list[str], list[str]], sequences: Mapping[str, Sequence3D]
-) -> None:
+def _require_known(held_out: tuple[list[str], list[str]], sequences: Mapping[str, Motion]) -> None:
     there = (
         ("test_subjects", held_out[0], {entry.subject for entry in sequences.values()}),
         ("test_sequences", held_out[1], {entry.name for entry in sequences.values()}),
@@ -224,8 +222,8 @@ def _opened(path: Path) -> Iterator[Any]:
             yield file
     except (OSError, RuntimeError, KeyError, ValueError) as error:
         raise UnreadableMesh(
-            f"{path}: cannot be read ({type(error).__name__}: {str(error)[:80]}); a whole HDF5 file "
-            "of registrations is required; download it again"
+            f"{path}: cannot be read ({type(error).__name__}: {str(error)[:80]}); a whole HDF5 "
+            "file of registrations is required; download it again"
         ) from error
 
 

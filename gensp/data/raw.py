@@ -17,15 +17,15 @@ class RawCollection(Protocol):
     ----------
     up
         Axis that points up in pictures.
-    fingerprint
-        Changes with any of the files.
     """
 
     name: str
     up: str
 
     @property
-    def fingerprint(self) -> str: ...
+    def fingerprint(self) -> str:
+        """Changes with any of the files."""
+        ...
 
     def ids(self) -> list[str]:
         """Ids of all meshes, usable or not."""
@@ -66,7 +66,7 @@ def require_preparing(name: str, on_bad: str, root: Any) -> None:
     """
     if on_bad != KEEP:
         raise Unsupported(
-            f"shapes={name}: its meshes are raw; closed genus-0 surfaces are required; run: python "
-            f"train.py stage=prepare shapes={name} shapes.root={root} prepare.out=FOLDER, then use "
-            "shapes=folder shapes.root=FOLDER"
+            f"shapes={name}: its meshes are raw; closed genus-0 surfaces are required; run: "
+            f"python train.py stage=prepare shapes={name} shapes.root={root} prepare.out=FOLDER, "
+            "then use shapes=folder shapes.root=FOLDER"
         )

@@ -8,7 +8,7 @@ import csv
 import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -41,9 +41,9 @@ class ShapeNet:
     limit
         At most so many models, drawn by `split_seed`; None for all.
     split_file
-        ShapeNet's all.csv (modelId, split), or KeypointNet's folder splits/; models that it does not
-        name are not used. Without it a share `test_fraction` of the usable shapes is held out,
-        drawn by `split_seed`.
+        ShapeNet's all.csv (modelId, split), or KeypointNet's folder splits/; models that it does
+        not name are not used. Without it a share `test_fraction` of the usable shapes is held
+        out, drawn by `split_seed`.
 
     Raises
     ------
@@ -115,6 +115,11 @@ class ShapeNet:
         """KeypointNet's annotation of the model."""
         return self._records.get(id)
 
+    def __getstate__(self) -> dict[str, Any]:
+        # Workers find a model by its id; the lists would travel to them with every item.
+        kept = {key: value for key, value in vars(self).items() if key != "fingerprint"}
+        return {**kept, "_ids": [], "_listed": None}
+
     def splits(self, ids: Sequence[str]) -> dict[str, str]:
         """Splits of the usable models, from the file or drawn among them."""
         if self._listed is not None:
@@ -155,21 +160,22 @@ class ShapeNet:
         found = [id for id in found if not annotated or id in self._records]
         if not found:
             raise MissingData(
-                f"{self.root}: has no model left to use; models in shapes.synsets, shapes.split_file"
-                " and, with shapes.annotated, the annotations are required; widen one of them"
+                f"{self.root}: has no model left to use; models in shapes.synsets, in "
+                "shapes.split_file and, with shapes.annotated, in the annotations are required; "
+                "widen one of them"
             )
         if limit is None or limit >= len(found):
             return found
         drawn = np.random.default_rng(self.split_seed).permutation(len(found))[:limit]
         return [found[place] for place in np.sort(drawn)]
 
-    @cached_property
+    @property
     def _records(self) -> dict[str, Record]:
-        if self.keypoints is None:
-            return {}
-        return read_annotations(self.keypoints)
+        return {} if self.keypoints is None else read_annotations(self.keypoints)
 
 
+# Kept: every item arrives in a worker with a collection of its own.
+@lru_cache(maxsize=1)
 def read_annotations(root: Path) -> dict[str, Record]:
     """KeypointNet's records of all categories, <class id>_<model id> → record.
 
@@ -208,8 +214,8 @@ def read_splits(path: Path) -> dict[str, str]:
     rows = _rows(path)
     if not rows or not {"modelId", "split"} <= rows[0].keys():
         raise MissingData(
-            f"{path}: is no split list; the columns modelId and split are required, or a folder with "
-            "train.txt, val.txt and test.txt; correct shapes.split_file"
+            f"{path}: is no split list; the columns modelId and split are required, or a folder "
+            "with train.txt, val.txt and test.txt; correct shapes.split_file"
         )
     wrong = {row["split"] for row in rows} - set(SPLITS)
     if wrong:
