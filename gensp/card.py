@@ -14,6 +14,7 @@ from gensp.data.keypoints import load_keypoint_records
 from gensp.errors import MissingData
 from gensp.files import atomic_path, write_text
 from gensp.geometry.mesh import Mesh, load_mesh
+from gensp.tables import markdown_table
 
 CARD, PICTURE = "CARD.md", "card.jpg"
 _COLUMNS, _TILE = 6, 160
@@ -174,8 +175,7 @@ def _section(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -
 
 
 def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(map(_cell, line)) + " |" for line in lines)
+    return markdown_table(header, [[_cell(text) for text in row] for row in rows]).rstrip()
 
 
 def _cell(text: str) -> str:

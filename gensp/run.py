@@ -22,6 +22,7 @@ from omegaconf.errors import InterpolationKeyError
 from gensp.data.validation import KEEP
 from gensp.errors import GenSPError, MissingData, OutputError, Unsupported
 from gensp.files import write_text
+from gensp.machine import forget_peak_memory
 from gensp.runs import Progress, Run, Runs, begin, clear, require_own, restart, tidy
 from gensp.stages.callbacks import WholeCheckpoints
 from gensp.stages.session import carry_out, close, conclude, quiet, threads
@@ -271,6 +272,7 @@ def _execute(
     state: Progress,
 ) -> float | None:
     began = time.monotonic()
+    forget_peak_memory()
     quiet()
     seed_everything(cfg.seed, workers=True, verbose=False)
     torch.set_num_threads(cfg.threads or threads())
@@ -282,11 +284,14 @@ def _execute(
     trainer = _trainer(cfg, folder, loggers)
     for logger in loggers:
         logger.log_hyperparams(OmegaConf.to_container(cfg, resolve=True))
+    resumed = state is Progress.SOME
     try:
-        carry_out(trainer, cfg.stage.verb, module, data, resume=state is Progress.SOME)
+        carry_out(trainer, cfg.stage.verb, module, data, resume=resumed)
         if not cfg.keep:
             return None
-        return conclude(trainer, module, settings=settings, inputs=inputs, began=began)
+        return conclude(
+            trainer, module, settings=settings, inputs=inputs, began=began, resumed=resumed
+        )
     finally:
         close(loggers)
 

@@ -30,7 +30,8 @@ ALLOWED = {
 }
 ALLOWED["benchmark"] = CORE | {"tables"}
 ALLOWED["comparison"] = CORE | {"tables", "benchmark", "pictures"}
-ALLOWED["card"] = CORE | {"data", "geometry", "pictures"}
+ALLOWED["card"] = CORE | {"data", "geometry", "pictures", "tables"}
+ALLOWED["catalogue"] = CORE | {"runs", "tables"}
 ALLOWED["data.modules"] = ALLOWED["data"] | {"runs", "data"}
 ALLOWED["data.training"] = ALLOWED["data"] | {"runs", "data"}
 ALLOWED["tasks"] = set(ALLOWED) - {"data.modules", "data.training"}
@@ -40,7 +41,16 @@ ALLOWED["run"] = set(ALLOWED)
 # For one mesh: beside the stages, neither imports the other.
 ALLOWED["api"] = CORE | {"geometry", "methods"}
 ALLOWED["export"] = CORE | {"geometry"}
-ALLOWED["cli"] = CORE | {"compiled", "geometry", "methods", "api", "export", "pictures", "card"}
+ALLOWED["cli"] = CORE | {
+    "compiled",
+    "geometry",
+    "methods",
+    "api",
+    "export",
+    "pictures",
+    "card",
+    "catalogue",
+}
 ALLOWED["__main__"] = {"cli"}
 
 LIGHTNING = {"stages", "data.modules", "data.training", "terminal", "run"}

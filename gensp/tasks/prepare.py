@@ -205,8 +205,10 @@ def prepare_task(
     **settings: Any,
 ) -> Prepare:
     """The task as the configuration gives it."""
+    # Typed as 0 it is no float.
+    solid = {**solid, "largest_radius": float(solid["largest_radius"])}
     preparation = Preparation(
-        tuple(repair), weld, largest_hole, dict(solid), vertices, remesh, max_faces
+        tuple(repair), weld, largest_hole, solid, vertices, remesh, max_faces
     )
     kept = None if cache is None else Path(cache)
     return Prepare(collection, Path(folder), preparation, cache=kept, **settings)
