@@ -109,7 +109,12 @@ def _facts(shapes: Sequence[Shape], sizes: Sequence[Size]) -> list[tuple[str, st
 
 
 def _range(values: Sequence[float]) -> str:
-    return f"{min(values):.4g} to {max(values):.4g}, median {float(np.median(values)):.4g}"
+    low, high, middle = map(_number, (min(values), max(values), float(np.median(values))))
+    return f"{low} to {high}, median {middle}"
+
+
+def _number(value: float) -> str:
+    return f"{value:,.0f}" if value >= 1000 else f"{value:.4g}"
 
 
 def _truths(folder: Path, shapes: Sequence[Shape]) -> list[tuple[str, str]]:
