@@ -19,7 +19,7 @@ from lightning.pytorch.utilities import rank_zero_only
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import InterpolationKeyError
 
-from gensp.data.validation import KEEP
+from gensp.data.raw import require_apart, require_rule
 from gensp.errors import GenSPError, MissingData, OutputError, Unsupported
 from gensp.files import write_text
 from gensp.machine import forget_peak_memory
@@ -58,7 +58,9 @@ def run(cfg: DictConfig, overrides: Sequence[str] = ()) -> float | None:
         A fit or a refinement was typed that the method does not take.
     """
     _require_taken(cfg, overrides)
-    _require_checked(cfg)
+    require_rule(cfg.stage.name, cfg.shapes.get("on_bad"))
+    if cfg.stage.name == "prepare":
+        require_apart(cfg.prepare.out, cfg.shapes.get("root"))
     if cfg.stage.name == "all":
         return run_pipeline(cfg, overrides)
     return run_stage(cfg, overrides)
@@ -77,25 +79,6 @@ def _require_taken(cfg: DictConfig, overrides: Sequence[str]) -> None:
                 f"{typed[0]}: was found with method={method}, which takes {takes}; leave it out, "
                 f"or choose method=gensp"
             )
-
-
-def _require_checked(cfg: DictConfig) -> None:
-    """Unchecked meshes go to stage=prepare alone, and it spares the folder they come from."""
-    rule, stage = cfg.shapes.get("on_bad"), cfg.stage.name
-    if (rule == KEEP) != (stage == "prepare"):
-        raise Unsupported(
-            f"shapes.on_bad={rule}: was found with stage={stage}; stage=prepare sets {KEEP}, "
-            "other stages need error or skip; leave it out"
-        )
-    out, root = cfg.prepare.out, cfg.shapes.get("root")
-    if stage != "prepare" or out is None or root is None:
-        return
-    place, raw = Path(out).resolve(), Path(root).resolve()
-    if place == raw or place in raw.parents:
-        raise Unsupported(
-            f"prepare.out={out}: holds shapes.root={root}; a folder of its own is required, "
-            "because it may be cleared; name one that does not exist yet"
-        )
 
 
 def run_pipeline(cfg: DictConfig, overrides: Sequence[str] = ()) -> float | None:

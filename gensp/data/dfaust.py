@@ -187,7 +187,7 @@ def _sequences(path: Path) -> Iterator[Motion]:
                 "(V, 3, frames) are required; download it again"
             )
         for key in sorted(set(file) - {"faces"}):
-            shape = getattr(file[key], "shape", ())
+            shape: tuple[int, ...] = getattr(file[key], "shape", ())
             if "_" not in key or len(shape) != 3 or shape[1] != 3:
                 raise UnreadableMesh(
                     f"{path}: '{key}' has the shape {shape}; <subject>_<sequence> of shape "

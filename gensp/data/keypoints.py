@@ -6,6 +6,7 @@ Numerous Human Annotations, 2020.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,26 @@ def load_keypoint_records(path: Path | str) -> dict[str, Record]:
             f"{path}: is no list of keypoint records ({type(error).__name__}: {error}); model_id "
             "and keypoints with xyz, semantic_id and mesh_info are required; replace the file"
         ) from error
+
+
+# Kept: every item arrives in a worker with a collection of its own.
+@lru_cache(maxsize=1)
+def read_annotations(root: Path) -> dict[str, Record]:
+    """KeypointNet's records of all categories, <class id>_<model id> → record.
+
+    Raises
+    ------
+    MissingData
+        The folder has no annotations.
+    """
+    files = sorted((root / "annotations").glob("*.json"))
+    if not files:
+        raise MissingData(
+            f"{root}: has no annotations/*.json; KeypointNet's folder is required; set "
+            "shapes.keypoints=FOLDER"
+        )
+    records = [record for path in files for record in load_keypoint_records(path).values()]
+    return {f"{record.get('class_id')}_{record['model_id']}": record for record in records}
 
 
 def _model(record: Record) -> str:

@@ -1,6 +1,7 @@
 """Raw collections: meshes as somebody left them, which `stage=prepare` makes usable."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, Protocol
 
 from gensp.data.ground_truth import GroundTruth
@@ -69,4 +70,37 @@ def require_preparing(name: str, on_bad: str, root: Any) -> None:
             f"shapes={name}: its meshes are raw; closed genus-0 surfaces are required; run: "
             f"python train.py stage=prepare shapes={name} shapes.root={root} prepare.out=FOLDER, "
             "then use shapes=folder shapes.root=FOLDER"
+        )
+
+
+def require_rule(stage: str, on_bad: str | None) -> None:
+    """Unchecked meshes go to stage=prepare alone, and all of them go there.
+
+    Raises
+    ------
+    Unsupported
+        Another rule was typed for stage=prepare, or its rule for another stage.
+    """
+    if (on_bad == KEEP) != (stage == "prepare"):
+        raise Unsupported(
+            f"shapes.on_bad={on_bad}: was found with stage={stage}; stage=prepare sets {KEEP}, "
+            "other stages need error or skip; leave it out"
+        )
+
+
+def require_apart(out: str | None, root: str | None) -> None:
+    """The folder that stage=prepare writes, and may clear, does not hold its raw meshes.
+
+    Raises
+    ------
+    Unsupported
+        It does.
+    """
+    if out is None or root is None:
+        return
+    place, raw = Path(out).resolve(), Path(root).resolve()
+    if place == raw or place in raw.parents:
+        raise Unsupported(
+            f"prepare.out={out}: holds shapes.root={root}; a folder of its own is required, "
+            "because it may be cleared; name one that does not exist yet"
         )

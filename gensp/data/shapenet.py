@@ -8,7 +8,7 @@ import csv
 import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from gensp.data.folder import SPLITS, held_out
 from gensp.data.ground_truth import GroundTruth
-from gensp.data.keypoints import Record, load_keypoint_records
+from gensp.data.keypoints import Record, read_annotations
 from gensp.data.raw import require_preparing
 from gensp.errors import MissingData, Unsupported
 from gensp.files import content_hash, read_json
@@ -172,26 +172,6 @@ class ShapeNet:
     @property
     def _records(self) -> dict[str, Record]:
         return {} if self.keypoints is None else read_annotations(self.keypoints)
-
-
-# Kept: every item arrives in a worker with a collection of its own.
-@lru_cache(maxsize=1)
-def read_annotations(root: Path) -> dict[str, Record]:
-    """KeypointNet's records of all categories, <class id>_<model id> → record.
-
-    Raises
-    ------
-    MissingData
-        The folder has no annotations.
-    """
-    files = sorted((root / "annotations").glob("*.json"))
-    if not files:
-        raise MissingData(
-            f"{root}: has no annotations/*.json; KeypointNet's folder is required; set "
-            "shapes.keypoints=FOLDER"
-        )
-    records = [record for path in files for record in load_keypoint_records(path).values()]
-    return {f"{record.get('class_id')}_{record['model_id']}": record for record in records}
 
 
 def read_splits(path: Path) -> dict[str, str]:

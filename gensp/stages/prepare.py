@@ -38,7 +38,12 @@ class PrepareStage(ItemStage):
 
     @classmethod
     def from_runs(
-        cls, inputs: Mapping[str, Run], folder: Path, *, collection: RawCollection, **numbers: Any
+        cls,
+        inputs: Mapping[str, Run],
+        folder: Path,
+        *,
+        collection: RawCollection | None = None,
+        **numbers: Any,
     ) -> Self:
         """The stage for a raw collection."""
         return cls(folder=folder, collection=collection, **numbers)
