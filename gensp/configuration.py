@@ -89,6 +89,7 @@ def runs_of(cfg: DictConfig, overrides: Sequence[str] = ()) -> Runs:
         variant=cfg.ablation.name,
         shares={**maps, **cfg.ablation.shares},
         inputs=dict(cfg.inputs),
+        outputs={"prepare": cfg.prepare.out},
         command=" ".join(["python train.py", *(words or [f"experiment={cfg.name}"])]),
     )
 

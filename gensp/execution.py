@@ -11,7 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from gensp.configuration import made
 from gensp.files import write_text
-from gensp.machine import first_process
+from gensp.machine import first_process, forget_peak_memory
 from gensp.runs import Progress, Run, begin
 from gensp.stages.callbacks import WholeCheckpoints
 from gensp.stages.session import carry_out, close, conclude, quiet, threads
@@ -32,6 +32,7 @@ def execute(
         The stage's headline metric; None where nothing is kept.
     """
     began = time.monotonic()
+    forget_peak_memory()
     quiet()
     seed_everything(cfg.seed, workers=True, verbose=False)
     torch.set_num_threads(cfg.threads or threads())
@@ -43,11 +44,14 @@ def execute(
     trainer = _trainer(cfg, folder, loggers)
     for logger in loggers:
         logger.log_hyperparams(OmegaConf.to_container(cfg, resolve=True))
+    resumed = state is Progress.SOME
     try:
-        carry_out(trainer, cfg.stage.verb, module, data, resume=state is Progress.SOME)
+        carry_out(trainer, cfg.stage.verb, module, data, resume=resumed)
         if not cfg.keep:
             return None
-        return conclude(trainer, module, settings=settings, inputs=inputs, began=began)
+        return conclude(
+            trainer, module, settings=settings, inputs=inputs, began=began, resumed=resumed
+        )
     finally:
         close(loggers)
 

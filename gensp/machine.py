@@ -1,5 +1,6 @@
 """What computed a run: versions, the revision of the sources, the machine and its memory."""
 
+import contextlib
 import importlib.metadata
 import os
 import platform
@@ -8,7 +9,10 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-_PACKAGES = ("gensp", "torch", "lightning", "numpy", "scipy", "libigl", "trimesh", "torchdiffeq")
+_PACKAGES = (
+    *("gensp", "torch", "lightning", "numpy", "scipy", "libigl", "trimesh", "torchdiffeq"),
+    *("numba", "scikit-image", "qdldl", "joblib", "hydra-core", "h5py"),
+)
 
 # What launchers (torchrun, Lightning's own, Slurm, jsrun) call the place of a process.
 _RANKS = ("RANK", "LOCAL_RANK", "NODE_RANK", "SLURM_PROCID", "JSM_NAMESPACE_RANK")
@@ -26,6 +30,8 @@ def environment() -> dict[str, Any]:
         "versions": {"python": platform.python_version(), **versions},
         "revision": _revision(),
         "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
+        "processor": _processor(),
+        "memory_gib": round(_memory(), 1),
     }
 
 
@@ -45,11 +51,56 @@ def _revision() -> str | None:
     return done.stdout.strip()
 
 
+def _processor() -> str:
+    """Name of the processor, as far as the system tells."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor()
+
+
+def _memory() -> float:
+    """Memory of the machine in GiB."""
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+
+
+def forget_peak_memory() -> None:
+    """Let `peak_memory` tell of what comes after, where the system can."""
+    for process in ("self", *_children()):
+        with contextlib.suppress(OSError):
+            # 5 resets the largest resident size, see proc(5).
+            Path(f"/proc/{process}/clear_refs").write_text("5", encoding="ascii")
+
+
 def peak_memory() -> float:
-    """Largest resident size of this process or of one of its finished children, in GiB."""
-    sizes = (
-        resource.getrusage(who).ru_maxrss
-        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
-    )
+    """Largest resident size, in GiB, of this process or of one of its children.
+
+    Where the system cannot tell it of running processes, finished children are meant, and the
+    size is the largest since the process began.
+    """
+    sizes = [_resident_peak(process) for process in ("self", *_children())]
+    if sizes[0]:
+        return max(sizes) / 2**20
+    users = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     unit = 1 if platform.system() == "Darwin" else 1024
-    return max(sizes) * unit / 2**30
+    return max(resource.getrusage(who).ru_maxrss for who in users) * unit / 2**30
+
+
+def _children() -> list[str]:
+    """Processes that this one has started and that still run, where the system tells them."""
+    try:
+        found = [path.read_text() for path in Path("/proc/self/task").glob("*/children")]
+    except OSError:
+        return []
+    return [process for listed in found for process in listed.split()]
+
+
+def _resident_peak(process: str) -> int:
+    """Largest resident size of a process in KiB; 0 where the system does not tell."""
+    try:
+        lines = Path(f"/proc/{process}/status").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return 0
+    return next((int(line.split()[1]) for line in lines if line.startswith("VmHWM")), 0)

@@ -12,9 +12,10 @@ from hydra import compose
 from omegaconf import DictConfig
 
 from gensp.configuration import require_taken, require_values, runs_of, settings_of
+from gensp.data.raw import require_apart, require_rule
 from gensp.errors import OutputError, Unsupported
 from gensp.machine import first_process
-from gensp.runs import Progress, Run, Runs, clear, restart, tidy
+from gensp.runs import Progress, Run, Runs, clear, require_own, restart, tidy
 from gensp.terminal import announce, say, show_methods, show_variants
 
 _FULL_OR_FORBIDDEN = {
@@ -37,6 +38,9 @@ def run(cfg: DictConfig, overrides: Sequence[str] = ()) -> float | None:
         A fit or a refinement was typed that the method does not take.
     """
     require_taken(cfg, overrides)
+    require_rule(cfg.stage.name, cfg.shapes.get("on_bad"))
+    if cfg.stage.name == "prepare":
+        require_apart(cfg.prepare.out, cfg.shapes.get("root"))
     if cfg.stage.name == "all":
         return run_pipeline(cfg, overrides)
     return run_stage(cfg, overrides)
@@ -96,6 +100,10 @@ def run_stage(cfg: DictConfig, overrides: Sequence[str] = (), place: str = "") -
     folder = runs.folder(name)
     inputs = {need: runs.open(need, needed_by=name) for need in cfg.stage.needs}
     settings = settings_of(cfg, inputs)
+    if runs.outputs.get(name):
+        require_own(folder, name)
+    if runs.outputs.get(name):
+        require_own(folder, name)
     announce(name, folder, place)
     with _output_errors(folder):
         headline = _bring_to_end(cfg, folder, runs, inputs, settings)

@@ -14,7 +14,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from gensp.errors import MissingStage, StaleRun
+from gensp.errors import MissingStage, OutputError, StaleRun
 from gensp.files import content_hash, read_json, write_json
 from gensp.machine import environment, peak_memory
 
@@ -80,6 +80,8 @@ class Runs:
         Stages whose folder belongs to another variant: stage → variant.
     inputs
         Folders given by hand, in place of a stage's own: stage → folder or None.
+    outputs
+        Folders given by hand for a stage to write into: stage → folder or None.
     command
         What to type, without the stage, to make a missing one.
     """
@@ -89,10 +91,14 @@ class Runs:
     variant: str
     shares: Mapping[str, str] = field(default_factory=dict)
     inputs: Mapping[str, str | None] = field(default_factory=dict)
+    outputs: Mapping[str, str | None] = field(default_factory=dict)
     command: str = "python train.py"
 
     def folder(self, stage: str) -> Path:
         """Where a stage writes."""
+        given = self.outputs.get(stage)
+        if given:
+            return Path(given)
         return Path(self.root) / self.experiment / self.shares.get(stage, self.variant) / stage
 
     def open(self, stage: str, *, needed_by: str) -> Run:
@@ -163,6 +169,27 @@ def restart(folder: Path, settings: Mapping[str, Any]) -> Progress:
             f"stage={asked['stage']['name']} force=true, or name=NEW to keep both"
         )
     return Progress.ALL if found is sealed else Progress.SOME
+
+
+def require_own(folder: Path, stage: str) -> None:
+    """Refuse to write into a folder that holds something else than this stage's results.
+
+    Raises
+    ------
+    OutputError
+        It is a file, or holds files that no run of the stage has left.
+    """
+    if folder.is_dir() and any(folder.iterdir()):
+        notes = [path for path in (folder / MANIFEST, folder / SETTINGS) if path.is_file()]
+        found = read_json(notes[0])["settings"]["stage"]["name"] if notes else None
+        if found == stage:
+            return
+    elif not folder.exists() or folder.is_dir():
+        return
+    raise OutputError(
+        f"{folder}: is not empty and was not written by stage={stage}; a folder of its own is "
+        "required, because it may be cleared; name one that does not exist yet"
+    )
 
 
 def begin(folder: Path, settings: Mapping[str, Any]) -> None:

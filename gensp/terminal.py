@@ -15,6 +15,7 @@ from gensp.machine import first_process
 from gensp.tables import rich_table
 
 STAGES = {
+    "prepare": "raw meshes to a collection",
     "augment": "flows to the sphere (I)",
     "implicit": "encoder and implicit field (II)",
     "correspond": "registrations along the tree (III-a)",
@@ -23,7 +24,15 @@ STAGES = {
     "parameterize": "maps of all shapes",
     "evaluate": "table, pictures, report",
 }
-_SHOWN = ("maps", "summary.md", "pictures", "report.html")
+_SHOWN = (
+    "manifest.csv",
+    "dropped.csv",
+    "CARD.md",
+    "maps",
+    "summary.md",
+    "pictures",
+    "report.html",
+)
 
 # A log file has room for the whole table.
 console = Console(highlight=False, width=None if Console().is_terminal else 140)

@@ -7,11 +7,13 @@ import sys
 
 import typer
 
+from gensp.cli.card import card
 from gensp.cli.correspondence import match, transfer
 from gensp.cli.faults import fault_line
 from gensp.cli.meshes import check, repair
 from gensp.cli.morph import morph
 from gensp.cli.parameterize import parameterize
+from gensp.cli.runs import runs
 from gensp.cli.view import view
 
 commands = typer.Typer(
@@ -26,8 +28,9 @@ commands = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (parameterize, check, repair, match, transfer, morph, view):
+for command in (parameterize, check, repair, match, transfer, morph, view, card):
     commands.command()(command)
+commands.add_typer(runs, name="runs")
 
 
 def app() -> None:

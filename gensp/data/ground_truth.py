@@ -3,19 +3,19 @@
 Two shapes of one template correspond where their ids agree.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from gensp.errors import MissingData
-from gensp.files import load_npz, read_json, save_npz
+from gensp.files import load_npz, save_npz
+from gensp.geometry.distance import closest_point
+from gensp.geometry.mesh import Mesh
 from gensp.geometry.points import SurfacePoints
-
-KEYPOINTS = "keypoints"
+from gensp.geometry.repair import bounding_diagonal
 
 
 @dataclass(frozen=True)
@@ -63,12 +63,13 @@ def load_ground_truth(path: Path | str, template: str) -> GroundTruth:
             "template_vertex (k), face (k) and bary (k, 3); write them or remove the file"
         )
     known = arrays["face"] >= 0
-    return _ground_truth(
+    return ground_truth(
         template, arrays["template_vertex"][known], arrays["face"][known], arrays["bary"][known]
     )
 
 
-def _ground_truth(template: str, ids: Any, faces: Any, weights: Any) -> GroundTruth:
+def ground_truth(template: str, ids: Any, faces: Any, weights: Any) -> GroundTruth:
+    """Points from lists or arrays as files hold them; weights are made to sum to one."""
     weights = np.clip(np.asarray(weights, dtype=np.float64).reshape(-1, 3), 0, None)
     weights = weights / weights.sum(axis=1, keepdims=True)
     at = SurfacePoints(np.asarray(faces, dtype=np.int64).reshape(-1), weights)
@@ -85,16 +86,22 @@ def save_ground_truth(path: Path | str, truth: GroundTruth) -> None:
     )
 
 
-def load_keypoints(path: Path | str) -> dict[str, GroundTruth]:
-    """Read keypoint records in KeypointNet's format: per mesh its semantic ids and places."""
-    return {record["model_id"]: _keypoints(record) for record in read_json(path)}
+def carry_ground_truth(
+    truth: GroundTruth, source: Mesh, target: Mesh, *, largest: float
+) -> tuple[GroundTruth, Float[np.ndarray, " k"]]:
+    """The points of one mesh at the closest places of another mesh of the same surface.
 
+    Parameters
+    ----------
+    largest
+        Points that move further, in diagonals of the source's bounding box, are left out.
 
-def _keypoints(record: Mapping[str, Any]) -> GroundTruth:
-    points = [point for point in record["keypoints"] if point["mesh_info"]["face_index"] >= 0]
-    return _ground_truth(
-        KEYPOINTS,
-        [point["semantic_id"] for point in points],
-        [point["mesh_info"]["face_index"] for point in points],
-        [point["mesh_info"]["face_uv"] for point in points],
-    )
+    Returns
+    -------
+    GroundTruth, (k,) array
+        The points on the target, and how far every point of the source was moved, in diagonals.
+    """
+    points = truth.at.on(source.vertices, source.faces)
+    found = closest_point(points, target)
+    moved = found.distance / bounding_diagonal(source)
+    return GroundTruth(truth.template, truth.ids, found.at).take(moved <= largest), moved

@@ -4,36 +4,23 @@ A collection is a folder. A `manifest.csv` in it names the meshes, their splits 
 correspondence files; without one, every ply, obj, off and stl file is a shape.
 """
 
-import csv
 import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from gensp.data.blobs import BlobFamily, generate_blobs
-from gensp.data.ground_truth import GroundTruth, load_ground_truth, load_keypoints
+from gensp.data.folder import Shape, list_meshes, read_manifest, with_split
+from gensp.data.ground_truth import GroundTruth, load_ground_truth
+from gensp.data.keypoints import keypoints_of, load_keypoint_records
 from gensp.data.validation import checked
 from gensp.errors import MissingData, Unsupported
 from gensp.files import content_hash
-from gensp.geometry.mesh import FORMATS, Mesh, load_mesh
+from gensp.geometry.mesh import Mesh, load_mesh
 
-SPLITS = ("train", "val", "test")
 SPHERE = "sphere"
-
-
-@dataclass(frozen=True)
-class Shape:
-    """One mesh file of a collection; shapes of one template share ground-truth ids."""
-
-    id: str
-    path: Path
-    split: str = "train"
-    template: str | None = None
-    correspondence: Path | None = None
 
 
 class ShapeCollection:
@@ -42,7 +29,8 @@ class ShapeCollection:
     Attributes
     ----------
     skipped
-        (id, reason) of the meshes that were left out under on_bad=skip.
+        (id, reason) of the meshes that were left out under on_bad=skip. Under on_bad=keep nothing
+        is checked: for `stage=prepare`, which does that itself.
     up
         Axis that points up in pictures: x, y or z.
     """
@@ -97,9 +85,9 @@ class ShapeCollection:
             )
         name = name or root.resolve().name
         if (root / "manifest.csv").is_file():
-            shapes = _read_manifest(root)
+            shapes = read_manifest(root)
         else:
-            shapes = _with_split(_list_meshes(root, name), test_fraction, split_seed)
+            shapes = with_split(list_meshes(root, name), test_fraction, split_seed)
         keypoints = root / "keypoints.json"
         return cls(
             name,
@@ -183,11 +171,32 @@ class ShapeCollection:
 
     def keypoints(self, id: str) -> GroundTruth | None:
         """Semantic keypoints of a shape, shared by all templates, if the collection has them."""
-        return self._keypoints.get(self.shape(id).id)
+        record = self.keypoint_record(id)
+        return None if record is None else keypoints_of(record)
+
+    def keypoint_record(self, id: str) -> Mapping[str, Any] | None:
+        """The same as the record of `keypoints.json`, symmetries included."""
+        return self._records.get(self.shape(id).id)
+
+    def digest(self, id: str) -> str:
+        """Changes with the shape's file or its ground truth."""
+        shape = self.shape(id)
+        files = _digest(shape.path), _digest(shape.correspondence)
+        return content_hash(shape.path.suffix, files, self.keypoint_record(id))
+
+    def columns(self, id: str) -> dict[str, str]:
+        """What the manifest tells of a shape: category, subject, source, licence and the like."""
+        shape = self.shape(id)
+        template = {} if shape.template is None else {"template": shape.template}
+        return {**dict(shape.columns), **template}
+
+    def splits(self, ids: Sequence[str]) -> dict[str, str]:
+        """Split of each of some shapes."""
+        return {id: self.shape(id).split for id in ids}
 
     @cached_property
-    def _keypoints(self) -> dict[str, GroundTruth]:
-        return {} if self._keypoint_file is None else load_keypoints(self._keypoint_file)
+    def _records(self) -> dict[str, Mapping[str, Any]]:
+        return {} if self._keypoint_file is None else load_keypoint_records(self._keypoint_file)
 
 
 def _require_names(shapes: Sequence[Shape]) -> None:
@@ -206,69 +215,6 @@ def _require_names(shapes: Sequence[Shape]) -> None:
         seen[shape.id] = shape.path
 
 
-def _read_manifest(root: Path) -> list[Shape]:
-    path = root / "manifest.csv"
-    with open(path, newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    if not rows or "file" not in rows[0]:
-        raise MissingData(
-            f"{path}: has no rows with a column 'file'; a manifest names file, split and "
-            "optionally category and correspondence; complete it or remove it"
-        )
-    return [_shape(root, row, path) for row in rows]
-
-
-def _shape(root: Path, row: dict[str, str], manifest: Path) -> Shape:
-    split = row.get("split") or "train"
-    if split not in SPLITS:
-        raise MissingData(
-            f"{manifest}: {row['file']} has the split '{split}'; one of {', '.join(SPLITS)} is "
-            "required; correct the column"
-        )
-    dense = [part for part in (row.get("correspondence") or "").split(";") if part[-4:] == ".npz"]
-    return Shape(
-        id=Path(row["file"]).stem,
-        path=root / row["file"],
-        split=split,
-        template=row.get("template") or row.get("category") or root.name if dense else None,
-        correspondence=root / dense[0] if dense else None,
-    )
-
-
-def _list_meshes(root: Path, name: str) -> list[Shape]:
-    folder = root / "meshes" if (root / "meshes").is_dir() else root
-    files = [
-        file
-        for file in sorted(folder.rglob("*"))
-        if file.suffix.lower() in FORMATS and not file.name.startswith(".")
-    ]
-    if not files:
-        raise MissingData(
-            f"{root}: holds no mesh; files in {', '.join(FORMATS)} are required; set "
-            "shapes.root=FOLDER"
-        )
-    shapes = []
-    for file in files:
-        id = "_".join(file.relative_to(folder).with_suffix("").parts)
-        dense = root / "corr" / f"{id}.npz"
-        known = (name, dense) if dense.is_file() else (None, None)
-        shapes.append(Shape(id, file, template=known[0], correspondence=known[1]))
-    return shapes
-
-
-def _with_split(shapes: list[Shape], test_fraction: float, seed: int) -> list[Shape]:
-    held_out = round(test_fraction * len(shapes))
-    if not 0 <= held_out < max(len(shapes), 1):
-        raise Unsupported(
-            f"shapes.test_fraction={test_fraction}: holds out {held_out} of {len(shapes)} shapes; "
-            "at least one must be left for training; choose a share below 1"
-        )
-    test = set(np.random.default_rng(seed).permutation(len(shapes))[:held_out].tolist())
-    return [
-        replace(shape, split="test" if index in test else "train")
-        for index, shape in enumerate(shapes)
-    ]
-
-
 def _digest(path: Path | None) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest() if path is not None else ""
+    found = path is not None and path.is_file()
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path and found else ""

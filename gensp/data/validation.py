@@ -12,6 +12,7 @@ from gensp.files import read_json, write_json
 from gensp.geometry.diagnosis import diagnose, repair_command
 from gensp.geometry.mesh import MAX_FACES, Mesh, load_mesh, require_genus_zero
 
+KEEP = "keep"  # nothing is checked here, because stage=prepare does it
 _RECORD = "genus_zero.json"
 _FEWEST = 4  # faces of a closed surface
 
@@ -46,6 +47,8 @@ def checked(
     MissingData
         No sound mesh is left.
     """
+    if on_bad == KEEP:
+        return list(shapes), []
     if on_bad not in ("error", "skip"):
         raise Unsupported(f"on_bad={on_bad}: is not known; error or skip is required; choose one")
     record = None if cache is None else Path(cache) / _RECORD

@@ -1,22 +1,22 @@
 """Mending a mesh: what can be mended with its own triangles, in a fixed order of small steps."""
 
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
+from functools import partial
 
 import igl
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Bool, Int
+from jaxtyping import Int
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from gensp.errors import DegenerateMesh
-from gensp.geometry.diagnosis import degenerate_faces, half_edges
+from gensp.errors import DegenerateMesh, Unsupported
+from gensp.geometry.diagnosis import Diagnosis, half_edges
+from gensp.geometry.flat_faces import without_flat
 from gensp.geometry.holes import fill_holes
 from gensp.geometry.mesh import Mesh, signed_volume
-
-_ROUNDS = 20
-_FLAT = 1e-14  # of the total area; the check refuses 1e-15
-_NEEDLE = 1e-4  # shortest over longest side, below which a flat triangle loses that side
+from gensp.geometry.submesh import kept, tidy
 
 
 @dataclass(frozen=True)
@@ -27,13 +27,37 @@ class Repaired:
     steps: dict[str, int]
 
 
-def repair(mesh: Mesh, *, weld: float = 1e-9, largest_hole: float = 1.0) -> Repaired:
+Step = Callable[[Mesh], tuple[Mesh, int]]
+
+# The kinds of mending, in their order.
+STEPS = (
+    "unused",  # vertices without a face
+    "finite",  # faces with corners that are missing or no numbers
+    "merge",  # vertices at one place
+    "flat",  # faces without area
+    "duplicates",  # faces over the same corners
+    "orient",  # faces against their neighbours, or inside out
+    "split",  # edges and vertices where several sheets meet
+    "components",  # all parts but the largest
+    "holes",
+)
+
+
+def repair(
+    mesh: Mesh,
+    *,
+    steps: Collection[str] = STEPS,
+    weld: float = 1e-9,
+    largest_hole: float = 1.0,
+) -> Repaired:
     """Mend orientation, duplicates, small holes, extra parts, non-manifold edges, flat faces.
 
     The result need not be sound: `require_genus_zero` decides.
 
     Parameters
     ----------
+    steps
+        What is mended, of `STEPS`; always in the order in which they stand there.
     weld
         Vertices closer than this part of the bounding box's diagonal are merged.
     largest_hole
@@ -42,22 +66,75 @@ def repair(mesh: Mesh, *, weld: float = 1e-9, largest_hole: float = 1.0) -> Repa
     Raises
     ------
     DegenerateMesh
-        No triangle with an area is left.
+        No triangle with an area is left, or corners are impossible and "finite" is not asked for.
+    Unsupported
+        A step that does not exist.
     """
-    steps: dict[str, int] = {}
-    mesh = _counted(steps, "unused vertices dropped", *_without_strays(mesh))
-    mesh = _counted(steps, "faces with impossible corners dropped", *_finite(mesh))
-    diagonal = bounding_diagonal(mesh)
-    mesh = _counted(steps, "vertices merged", *_welded(mesh, weld * diagonal))
-    mesh = _counted(steps, "faces without area removed", *_without_flat(mesh))
-    mesh = _counted(steps, "duplicate faces removed", *_without_duplicates(mesh))
-    mesh = _counted(steps, "faces turned", *_oriented(mesh))
-    mesh = _counted(steps, "vertices split at non-manifold places", *_manifold(mesh))
-    mesh = _counted(steps, "faces turned after the split", *_oriented(mesh))
-    mesh = _counted(steps, "parts dropped", *_largest_part(mesh))
-    mesh = _counted(steps, "holes filled", *fill_holes(mesh, largest_hole * diagonal))
-    mesh = _counted(steps, "mesh turned inside out", *_outward(mesh))
-    return Repaired(mesh, {step: count for step, count in steps.items() if count})
+    require_steps(steps)
+    counts: dict[str, int] = {}
+    for kind, words, step in _FIRST:
+        mesh = _counted(counts, words, *step(mesh)) if kind in steps else mesh
+    _require_possible(mesh)
+    for kind, words, step in _then(bounding_diagonal(mesh), weld, largest_hole):
+        mesh = _counted(counts, words, *step(mesh)) if kind in steps else mesh
+    return Repaired(mesh, {words: count for words, count in counts.items() if count})
+
+
+def require_steps(steps: Collection[str], *, more: Collection[str] = ()) -> None:
+    """Refuse a kind of mending that does not exist; `more` are allowed beside `STEPS`.
+
+    Raises
+    ------
+    Unsupported
+        The first unknown one, with the known ones.
+    """
+    unknown = [step for step in steps if step not in (*STEPS, *more)]
+    if unknown:
+        raise Unsupported(
+            f"repair: '{unknown[0]}' is no kind of mending; some of "
+            f"{', '.join((*STEPS, *more))} are required; correct the word"
+        )
+
+
+def remedies(found: Diagnosis) -> list[str]:
+    """The kinds of mending that a diagnosis calls for, in their order; "solid" for handles."""
+    wanted = {
+        "unused": found.unused_vertices,
+        "finite": found.not_finite or found.out_of_range,
+        "merge": found.duplicate_vertices,
+        "flat": found.degenerate_faces,
+        "duplicates": found.duplicate_faces,
+        "orient": found.misoriented_edges or found.inward,
+        "split": found.nonmanifold_edges or found.nonmanifold_vertices,
+        "components": found.components > 1,
+        "holes": found.boundary_edges,
+        "solid": found.genus,
+    }
+    return [kind for kind, needed in wanted.items() if needed]
+
+
+def _then(diagonal: float, weld: float, largest_hole: float) -> tuple[tuple[str, str, Step], ...]:
+    """The steps that need possible corners, for a mesh of this diagonal."""
+    return (
+        ("merge", "vertices merged", partial(_welded, distance=weld * diagonal)),
+        ("flat", "faces without area removed", without_flat),
+        ("duplicates", "duplicate faces removed", _without_duplicates),
+        ("orient", "faces turned", _oriented),
+        ("split", "vertices split at non-manifold places", _manifold),
+        ("orient", "faces turned after the split", _oriented),
+        ("components", "parts dropped", _largest_part),
+        ("holes", "holes filled", partial(fill_holes, longest=largest_hole * diagonal)),
+        ("orient", "mesh turned inside out", _outward),
+    )
+
+
+def _require_possible(mesh: Mesh) -> None:
+    lost = len(mesh.faces) - len(_finite(mesh)[0].faces)
+    if lost:
+        raise DegenerateMesh(
+            f"{mesh.name}: {lost} faces have corners that are missing or no numbers; only others "
+            "can be mended; add 'finite' to what is mended"
+        )
 
 
 def _counted(steps: dict[str, int], step: str, mesh: Mesh, count: int) -> Mesh:
@@ -76,19 +153,9 @@ def bounding_diagonal(mesh: Mesh) -> float:
     return float(np.linalg.norm(np.ptp(finite, axis=0))) if len(finite) else 0.0
 
 
-def tidy(mesh: Mesh) -> Mesh:
-    """The mesh without vertices that no face uses; the order of the others is kept."""
-    used, faces = np.unique(mesh.faces, return_inverse=True)
-    return Mesh(mesh.vertices[used], faces.reshape(-1, 3).astype(np.int64), mesh.name)
-
-
 def sane(mesh: Mesh) -> Mesh:
     """The mesh without faces that name no vertex, or vertices that are no numbers."""
     return _finite(mesh)[0]
-
-
-def _kept(mesh: Mesh, keep: Bool[np.ndarray, " m"]) -> tuple[Mesh, int]:
-    return tidy(replace(mesh, faces=mesh.faces[keep])), int((~keep).sum())
 
 
 def _without_strays(mesh: Mesh) -> tuple[Mesh, int]:
@@ -103,7 +170,7 @@ def _without_strays(mesh: Mesh) -> tuple[Mesh, int]:
 def _finite(mesh: Mesh) -> tuple[Mesh, int]:
     known = (mesh.faces >= 0) & (mesh.faces < len(mesh.vertices))
     finite = np.isfinite(mesh.vertices).all(axis=1)
-    return _kept(mesh, np.all(known & finite[np.where(known, mesh.faces, 0)], axis=1))
+    return kept(mesh, np.all(known & finite[np.where(known, mesh.faces, 0)], axis=1))
 
 
 def _welded(mesh: Mesh, distance: float) -> tuple[Mesh, int]:
@@ -126,66 +193,6 @@ def _first_of_each(label: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
     return first[inverse.reshape(-1)]
 
 
-def _without_flat(mesh: Mesh) -> tuple[Mesh, int]:
-    """Collapse needles, flip caps, and drop what has a repeated corner."""
-    count = 0
-    for _ in range(_ROUNDS):
-        flat = degenerate_faces(mesh, _FLAT)
-        if not flat.any():
-            break
-        repeated = (np.diff(np.sort(mesh.faces, axis=1), axis=1) == 0).any(axis=1)
-        if repeated.any():
-            mesh, dropped = _kept(mesh, ~repeated)
-        else:
-            mesh, dropped = _mended_flat(mesh, np.flatnonzero(flat))
-        count += dropped
-        if dropped == 0 or len(mesh.faces) == 0:
-            break
-    return mesh, count
-
-
-def _mended_flat(mesh: Mesh, flat: Int[np.ndarray, " k"]) -> tuple[Mesh, int]:
-    corners = mesh.vertices[mesh.faces[flat]]
-    lengths = np.linalg.norm(corners[:, [1, 2, 0]] - corners, axis=2)
-    needle = lengths.min(axis=1) <= _NEEDLE * lengths.max(axis=1)
-    if needle.any():
-        row = flat[needle]
-        side = lengths[needle].argmin(axis=1)
-        place = np.arange(len(mesh.vertices))
-        place[mesh.faces[row, (side + 1) % 3]] = mesh.faces[row, side]
-        # Chains of collapses end at a vertex that stays; a cycle is broken next round.
-        collapsed = place[place[mesh.faces]]
-        return tidy(replace(mesh, faces=collapsed)), int(needle.sum())
-    return _flipped_caps(mesh, flat, lengths.argmax(axis=1))
-
-
-def _flipped_caps(
-    mesh: Mesh, flat: Int[np.ndarray, " k"], side: Int[np.ndarray, " k"]
-) -> tuple[Mesh, int]:
-    """Flip the longest side of caps, where it has one other face that no other cap takes."""
-    n = len(mesh.vertices)
-    sides = half_edges(mesh.faces)
-    key = sides.min(axis=1) * n + sides.max(axis=1)
-    order = np.argsort(key, kind="stable")
-    own = 3 * flat + side
-    low, high = (np.searchsorted(key[order], key[own], side=s) for s in ("left", "right"))
-    pair = high - low == 2
-    other = np.where(order[low] == own, order[np.minimum(low + 1, len(order) - 1)], order[low])
-    face, beside = flat[pair], other[pair] // 3
-    free = ~np.isin(beside, flat)
-    _, first = np.unique(beside[free], return_index=True)
-    chosen = np.flatnonzero(free)[first]
-    if len(chosen) == 0:
-        return mesh, 0
-    cap, near = face[chosen], beside[chosen]
-    at, across = side[pair][chosen], other[pair][chosen] % 3
-    a, b, tip = (mesh.faces[cap, (at + k) % 3] for k in range(3))
-    far = mesh.faces[near, (across + 2) % 3]
-    faces = mesh.faces.copy()
-    faces[cap], faces[near] = np.stack([a, far, tip], axis=1), np.stack([far, b, tip], axis=1)
-    return replace(mesh, faces=faces), len(chosen)
-
-
 def _without_duplicates(mesh: Mesh) -> tuple[Mesh, int]:
     """Keep one of several equal triangles where it closes the surface, none of a loose flap."""
     _, first, copies = np.unique(
@@ -199,7 +206,7 @@ def _without_duplicates(mesh: Mesh) -> tuple[Mesh, int]:
     wanted = (copies == 1) | (needed >= 2)
     keep = np.zeros(len(mesh.faces), dtype=bool)
     keep[first[wanted]] = True
-    return _kept(mesh, keep)
+    return kept(mesh, keep)
 
 
 def _manifold(mesh: Mesh) -> tuple[Mesh, int]:
@@ -234,10 +241,16 @@ def _largest_part(mesh: Mesh) -> tuple[Mesh, int]:
     count, label = igl.facet_components(mesh.faces)
     label = np.asarray(label).reshape(-1)
     areas = np.bincount(label, weights=mesh.face_areas)
-    return _kept(mesh, label == areas.argmax())[0], int(count) - 1
+    return kept(mesh, label == areas.argmax())[0], int(count) - 1
 
 
 def _outward(mesh: Mesh) -> tuple[Mesh, int]:
     if signed_volume(mesh) >= 0:
         return mesh, 0
     return replace(mesh, faces=np.ascontiguousarray(mesh.faces[:, ::-1])), 1
+
+
+_FIRST: tuple[tuple[str, str, Step], ...] = (
+    ("unused", "unused vertices dropped", _without_strays),
+    ("finite", "faces with impossible corners dropped", _finite),
+)

@@ -36,7 +36,13 @@ class Solid:
     radius: float
 
 
-def solid_surface(mesh: Mesh, *, resolution: int = 128, vertices: int | None = 5000) -> Solid:
+def solid_surface(
+    mesh: Mesh,
+    *,
+    resolution: int = 128,
+    vertices: int | None = 5000,
+    largest_radius: float = RADII[-1],
+) -> Solid:
     """Outer surface of what a mesh encloses, without handles, by winding-number remeshing.
 
     Parameters
@@ -47,6 +53,8 @@ def solid_surface(mesh: Mesh, *, resolution: int = 128, vertices: int | None = 5
         Cells along the longest side of the grid; thinner parts are lost.
     vertices
         About so many are kept by edge collapses; None keeps all.
+    largest_radius
+        Largest radius of the closing, in diagonals; 0 refuses what has handles.
 
     Raises
     ------
@@ -59,18 +67,19 @@ def solid_surface(mesh: Mesh, *, resolution: int = 128, vertices: int | None = 5
     """
     if not mesh.area > 0:
         raise DegenerateMesh(f"{mesh.name}: has no area; a surface is required; export it again")
-    radii = iter(RADII)
+    radii = iter(radius for radius in RADII if radius <= largest_radius)
     surface = _surface(mesh, next(radii), resolution, vertices)
     if surface.euler == 2:
         return Solid(surface, 0.0)
-    least = _least_radius(mesh, min(resolution, _COARSE))
+    least = _least_radius(mesh, min(resolution, _COARSE)) if largest_radius > 0 else 0.0
     for radius in (r for r in radii if r >= least):
         surface = _surface(mesh, radius, resolution, vertices)
         if surface.euler == 2:
             return Solid(surface, radius)
+    largest = min(largest_radius, RADII[-1])
     raise NotGenusZero(
         f"{mesh.name}: genus {1 - surface.euler // 2} is left after remeshing and closing handles "
-        f"up to a radius of {RADII[-1]:g} diagonals; genus 0 is required; cut the handles by hand"
+        f"up to a radius of {largest:g} diagonals; genus 0 is required; cut the handles by hand"
     )
 
 

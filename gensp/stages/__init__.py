@@ -1,9 +1,10 @@
-"""The seven stages; each is loaded when it is named."""
+"""The seven stages and what prepares for them; each is loaded when it is named."""
 
 from importlib import import_module
 from typing import Any
 
 _HOMES = {
+    "PrepareStage": "prepare",
     "AugmentStage": "augment",
     "ImplicitStage": "implicit",
     "CorrespondStage": "correspond",

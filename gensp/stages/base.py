@@ -175,9 +175,11 @@ class ItemStage(Stage):
         return {"items": len(rows), "failed": len(failed)}
 
 
-def write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write rows as csv; columns in the order in which they first appear."""
-    columns = list(dict.fromkeys(name for row in rows for name in row))
+def write_table(
+    path: Path, rows: Sequence[Mapping[str, Any]], columns: Sequence[str] | None = None
+) -> None:
+    """Write rows as csv; columns as given, else in the order in which they first appear."""
+    columns = columns or list(dict.fromkeys(name for row in rows for name in row))
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()

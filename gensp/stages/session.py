@@ -66,6 +66,7 @@ def conclude(
     settings: Mapping[str, Any],
     inputs: Mapping[str, Run],
     began: float,
+    resumed: bool = False,
 ) -> float | None:
     """Rank zero merges and seals; the others wait, so that they find the manifest."""
     trainer.strategy.barrier("verb")
@@ -75,6 +76,8 @@ def conclude(
         facts = {
             "inputs": {name: run.outputs for name, run in inputs.items()},
             "seconds": seconds,
+            # Then the seconds are those of the last session alone.
+            "resumed": resumed,
             "device": _device(trainer),
             "threads": torch.get_num_threads(),
             "ranks": trainer.world_size,

@@ -1,0 +1,116 @@
+"""Before all stages: a raw collection becomes one that can be learnt from."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Self
+
+from gensp.card import write_card
+from gensp.compute import Row
+from gensp.data.folder import COLUMNS
+from gensp.data.raw import RawCollection
+from gensp.errors import MissingData
+from gensp.files import read_json, write_json
+from gensp.geometry.preparation import DROPPED, REPAIRED
+from gensp.runs import Run
+from gensp.stages.base import ItemStage, write_table
+
+_DROPPED = ("id", "reason", "remedy", "found", "source")
+_TOLD = ("verdict", "found", "done", "hausdorff", "vertices", "faces", "truth_moved")
+
+
+class PrepareStage(ItemStage):
+    """Passes over the meshes; its ending makes a collection of the usable ones.
+
+    Writes meshes/<id>.ply, corr/<id>.npz, keypoints.json, manifest.csv, which `shapes=folder`
+    reads; dropped.csv (what was left out and why), misaligned.csv (models whose keypoints do not
+    lie on them), prepared.csv (a row for every mesh) and the data card.
+    """
+
+    def __init__(
+        self,
+        *,
+        collection: RawCollection | None = None,
+        max_failures: int = 0,
+        folder: Path | str = Path("."),
+    ) -> None:
+        super().__init__(table="prepared", max_failures=max_failures, folder=folder)
+        self.collection = collection
+
+    @classmethod
+    def from_runs(
+        cls,
+        inputs: Mapping[str, Run],
+        folder: Path,
+        *,
+        collection: RawCollection | None = None,
+        **numbers: Any,
+    ) -> Self:
+        """The stage for a raw collection."""
+        return cls(folder=folder, collection=collection, **numbers)
+
+    def finish(self) -> dict[str, float]:
+        """Write the collection's tables and its card.
+
+        Raises
+        ------
+        MissingData
+            No mesh is usable.
+        """
+        assert self.collection is not None
+        counts = super().finish()
+        rows = {str(row["id"]): row for row in self.rows if not row.get("error")}
+        ordered = [rows[id] for id in self.collection.ids() if id in rows]
+        kept = [row for row in ordered if row["verdict"] != DROPPED]
+        dropped = [row for row in ordered if row["verdict"] == DROPPED]
+        self._write_dropped(dropped)
+        if not kept:
+            raise MissingData(
+                f"{self.folder}: none of {len(ordered)} meshes can be used, the first because of "
+                f"{dropped[0]['reason'] if dropped else 'nothing'}; one closed genus-0 surface is "
+                f"required; {self.folder / 'dropped.csv'} tells what mends each"
+            )
+        self._write_collection(kept)
+        write_card(self.folder, name=self.collection.name, up=self.collection.up)
+        repaired = sum(row["verdict"] == REPAIRED for row in kept)
+        told = {"kept": len(kept), "repaired": repaired, "dropped": len(dropped)}
+        return {**told, "cached": sum(bool(row["cached"]) for row in ordered), **counts}
+
+    def _write_dropped(self, dropped: list[Row]) -> None:
+        rows = [
+            {key: {**self._columns(row), **row}.get(key, "") for key in _DROPPED}
+            for row in dropped
+        ]
+        write_table(self.folder / "dropped.csv", rows, columns=_DROPPED)
+
+    def _write_collection(self, kept: list[Row]) -> None:
+        assert self.collection is not None
+        splits = self.collection.splits([str(row["id"]) for row in kept])
+        records = [self.folder / "keypoints" / f"{row['id']}.json" for row in kept]
+        found = {path.stem: read_json(path) for path in records if path.is_file()}
+        if found:
+            write_json(self.folder / "keypoints.json", list(found.values()))
+        misaligned = [row for row in kept if row.get("misaligned")]
+        if misaligned:
+            columns = ("id", "keypoints_off")
+            rows = [{key: row[key] for key in columns} for row in misaligned]
+            write_table(self.folder / "misaligned.csv", rows)
+        entries = [self._entry(row, splits, str(row["id"]) in found) for row in kept]
+        write_table(self.folder / "manifest.csv", entries)
+
+    def _entry(self, row: Row, splits: Mapping[str, str], keypoints: bool) -> dict[str, Any]:
+        """The manifest's row of a mesh."""
+        id = str(row["id"])
+        known = self._columns(row)
+        dense = [f"corr/{id}.npz"] * (row.get("truth") is not None)
+        return {
+            "file": f"meshes/{id}.ply",
+            "split": splits[id],
+            **{key: known.get(key, "") for key in COLUMNS},
+            "correspondence": ";".join([*dense, *["keypoints.json"] * keypoints]),
+            "genus": 0,
+            **{key: row.get(key, "") for key in _TOLD},
+        }
+
+    def _columns(self, row: Row) -> dict[str, str]:
+        assert self.collection is not None
+        return self.collection.columns(str(row["id"]))

@@ -1,0 +1,277 @@
+"""Raw meshes to a collection: verdicts, tables, what is carried along, restarts."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import begun, finished_items, kill_in_the_middle, run_here
+from compare import different
+from layouts import (
+    ANNOTATED,
+    BALL,
+    BOTTLE,
+    KNIFE,
+    SKEWED,
+    write_dfaust,
+    write_keypointnet,
+    write_shapenet,
+)
+from test_bad_meshes import DEFECTS
+
+from gensp.data.ground_truth import GroundTruth, save_ground_truth
+from gensp.data.shapes import ShapeCollection
+from gensp.errors import MissingData, OutputError, StaleRun, Unsupported
+from gensp.geometry.mesh import SPHERE_AREA, Mesh, save_mesh
+from gensp.geometry.points import sample_surface
+from gensp.geometry.repair import STEPS
+
+ALL = f"recipe.prepare.repair=[{','.join(STEPS)}]"
+# What is wrong, and whether all kinds of mending but new triangles make it usable.
+VERDICTS = {
+    "open": ("3 boundary edges in 1 hole", "repaired"),
+    "non_manifold": ("1 non-manifold edge", "repaired"),
+    "pinched": ("1 non-manifold vertex", "repaired"),
+    "flipped": ("3 misoriented edges", "repaired"),
+    "inside_out": ("faces look inwards", "repaired"),
+    "two_parts": ("2 components", "repaired"),
+    "genus_one": ("genus 1", "dropped"),
+    "nan": ("1 non-finite vertex", "repaired"),
+    "zero_area": ("faces without area", "repaired"),
+    "stray_vertex": ("1 vertex without a face", "repaired"),
+    "flat": ("faces without area", "dropped"),
+    "one_triangle": ("3 boundary edges in 1 hole", "dropped"),
+    "garbage": ("", "dropped"),
+    "truncated": ("", "dropped"),
+    "empty": ("", "dropped"),
+    "no_triangles": ("", "dropped"),
+}
+
+
+def words(raw: Path, out: Path, *more: str) -> tuple[str, ...]:
+    places = (f"shapes.root={raw}", f"prepare.out={out}", f"paths.cache={out.parent / 'cache'}")
+    return ("stage=prepare", "recipe=smoke", "workers.jobs=1", *places, "logger=none", *more)
+
+
+def prepare(raw: Path, out: Path, *more: str, shapes: str = "folder") -> dict[str, dict]:
+    """The rows of prepared.csv by id."""
+    run_here(*words(raw, out, f"shapes={shapes}", *more))
+    return {row["id"]: row for row in table(out / "prepared.csv")}
+
+
+def made_differently(first: Path, second: Path) -> list[str]:
+    """Files of two collections that differ, but for the rows, which tell what was kept."""
+    found = different(first, second)
+    return [name for name in found if not name.startswith(("rows/", "prepared.csv"))]
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with open(path, newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture(scope="module")
+def defects(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict]:
+    """Every defect and a sound mesh, with all kinds of mending."""
+    raw = tmp_path_factory.mktemp("raw")
+    for name in VERDICTS:
+        DEFECTS[name][0](raw / f"{name}.ply")
+    save_mesh(BALL, raw / "sound.ply")
+    return prepare(raw, raw.parent / f"{raw.name}-out" / "made", ALL)
+
+
+@pytest.mark.parametrize("name", VERDICTS)
+def test_every_defect_has_its_verdict(defects: dict[str, dict], name: str) -> None:
+    found, verdict = VERDICTS[name]
+    row = defects[name]
+    assert row["verdict"] == verdict
+    assert found in row["found"]
+    assert bool(row["reason"]) == (verdict == "dropped")
+    assert bool(row["done"]) == (verdict == "repaired")
+
+
+def test_a_sound_mesh_is_usable(defects: dict[str, dict]) -> None:
+    assert defects["sound"]["verdict"] == "usable"
+    assert float(defects["sound"]["hausdorff"]) == 0
+
+
+@pytest.fixture
+def raw(tmp_path: Path, bumpy: Mesh, ellipsoid: Mesh, rng: np.random.Generator) -> Path:
+    """Two sound meshes, one with ground truth, an open one, and one of two parts."""
+    folder = tmp_path / "raw"
+    save_mesh(bumpy, folder / "bumpy.ply")
+    save_mesh(ellipsoid, folder / "ellipsoid.obj")
+    save_mesh(Mesh(bumpy.vertices, bumpy.faces[1:]), folder / "open.off")
+    DEFECTS["two_parts"][0](folder / "parts.ply")
+    truth = GroundTruth("t", np.arange(30), sample_surface(bumpy.face_areas, 30, rng))
+    save_ground_truth(folder / "corr" / "bumpy.npz", truth)
+    columns = "file,split,category,licence,correspondence"
+    rows = [
+        "bumpy.ply,train,stone,CC0,corr/bumpy.npz",
+        "ellipsoid.obj,val,egg,CC-BY,",
+        "open.off,test,stone,CC0,",
+        "parts.ply,train,stone,CC0,",
+    ]
+    (folder / "manifest.csv").write_text("\n".join([columns, *rows]) + "\n")
+    return folder
+
+
+def test_the_result_is_a_collection(raw: Path, tmp_path: Path, bumpy: Mesh) -> None:
+    rows = prepare(raw, tmp_path / "out", "recipe.prepare.repair=[holes]")
+    verdicts = {id: row["verdict"] for id, row in rows.items()}
+    assert verdicts == {
+        "bumpy": "usable",
+        "ellipsoid": "usable",
+        "open": "repaired",
+        "parts": "dropped",
+    }
+    made = ShapeCollection.from_folder(tmp_path / "out")
+    assert made.ids() == ["bumpy", "ellipsoid", "open"]
+    assert [made.shape(id).split for id in made.ids()] == ["train", "val", "test"]
+    assert made.columns("ellipsoid") == {"category": "egg", "licence": "CC-BY"}
+    raw_truth = ShapeCollection.from_folder(raw, on_bad="keep").ground_truth("bumpy")
+    truth = made.ground_truth("bumpy")
+    assert truth.template == raw_truth.template == "stone"
+    assert (truth.at.faces == raw_truth.at.faces).all()
+    (dropped,) = table(tmp_path / "out" / "dropped.csv")
+    assert dropped["reason"] == "2 components"
+    assert dropped["remedy"] == "recipe.prepare.repair: add components"
+
+
+def test_what_is_moved_carries_its_ground_truth(raw: Path, tmp_path: Path, bumpy: Mesh) -> None:
+    more = ("recipe.prepare.vertices=300", "recipe.prepare.normalize=true")
+    rows = prepare(raw, tmp_path / "out", *more)
+    made = ShapeCollection.from_folder(tmp_path / "out")
+    mesh, truth = made.mesh("bumpy"), made.ground_truth("bumpy")
+    assert mesh.area == pytest.approx(SPHERE_AREA)
+    assert "normalised" in rows["bumpy"]["done"]
+    # Back from the normalised frame, the points lie where they were.
+    scale = np.sqrt(bumpy.area / SPHERE_AREA)
+    old = ShapeCollection.from_folder(raw, on_bad="keep").ground_truth("bumpy")
+    places = old.at.on(bumpy.vertices, bumpy.faces)[np.isin(old.ids, truth.ids)]
+    found = truth.at.on(mesh.vertices, mesh.faces) * scale
+    shift = (places - found).mean(axis=0)
+    diagonal = np.linalg.norm(np.ptp(bumpy.vertices, axis=0))
+    assert np.linalg.norm(found + shift - places, axis=1).max() < 0.03 * diagonal
+    assert 0 < float(rows["bumpy"]["truth_moved"]) < 0.03
+    assert 0 < float(rows["bumpy"]["hausdorff"]) < 0.03
+
+
+def test_a_second_pass_takes_what_is_kept(raw: Path, tmp_path: Path) -> None:
+    first, second = tmp_path / "first", tmp_path / "second"
+    assert {row["cached"] for row in prepare(raw, first, ALL).values()} == {"False"}
+    assert {row["cached"] for row in prepare(raw, second, ALL).values()} == {"True"}
+    assert made_differently(first, second) == []
+    changed = Mesh(1.5 * BALL.vertices, BALL.faces)
+    save_mesh(changed, raw / "ellipsoid.obj")
+    with pytest.raises(StaleRun, match=r"shapes: .* force=true"):
+        prepare(raw, second, ALL)
+    cached = {id: row["cached"] for id, row in prepare(raw, second, ALL, "force=true").items()}
+    assert cached == {id: str(id != "ellipsoid") for id in cached}
+
+
+def test_damaged_keepings_are_made_again(raw: Path, tmp_path: Path) -> None:
+    prepare(raw, tmp_path / "first", ALL)
+    for path in (tmp_path / "cache" / "prepared").iterdir():
+        path.write_bytes(path.read_bytes()[:100])
+    rows = prepare(raw, tmp_path / "second", ALL)
+    assert {row["cached"] for row in rows.values()} == {"False"}
+    assert made_differently(tmp_path / "first", tmp_path / "second") == []
+
+
+@pytest.mark.slow
+def test_a_killed_preparation_goes_on(raw: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "killed"
+    kill_in_the_middle(folder, *words(raw, folder, "shapes=folder", ALL))
+    assert begun(folder)
+    assert not (folder / "manifest.json").exists(), "killed too late to be of use"
+    kept = finished_items(folder)
+    prepare(raw, folder, ALL)
+    assert kept.items() <= finished_items(folder).items()
+    prepare(raw, tmp_path / "whole", ALL, f"paths.cache={tmp_path / 'other'}")
+    assert made_differently(folder, tmp_path / "whole") == []
+
+
+def test_shapenet_becomes_a_collection(tmp_path: Path) -> None:
+    tree = write_shapenet(tmp_path / "tree")
+    annotations = write_keypointnet(tmp_path / "annotations")
+    solid = "recipe.prepare.solid={resolution: 48, vertices: 600, largest_radius: 0}"
+    more = (f"shapes.keypoints={annotations}", "recipe.prepare.repair=[solid]", solid)
+    rows = prepare(tree, tmp_path / "out", *more, "shapes.test_fraction=0.5", shapes="shapenet")
+    first, second = f"{BOTTLE}_{ANNOTATED}", f"{BOTTLE}_{SKEWED}"
+    made = ShapeCollection.from_folder(tmp_path / "out")
+    assert made.ids() == [first, second]
+    assert sorted(made.shape(id).split for id in made.ids()) == ["test", "train"]
+    assert made.columns(first)["category"] == "bottle"
+    reasons = {row["id"]: row["reason"] for row in table(tmp_path / "out" / "dropped.csv")}
+    assert "does not exist" in reasons[f"{BOTTLE}_{'c' * 32}"]
+    assert reasons[f"{KNIFE}_{'d' * 32}"].startswith("genus 1 is left after remeshing")
+    assert rows[first]["done"] == "outer surface by winding numbers"
+    # Of two balls the outer surface alone is left: their union, 0.95 long and 0.6 wide.
+    assert np.ptp(made.mesh(first).vertices, axis=0) == pytest.approx([0.95, 0.6, 0.6], abs=0.03)
+    assert [row["id"] for row in table(tmp_path / "out" / "misaligned.csv")] == [second]
+    assert made.keypoints(second) is None
+    keypoints = made.keypoints(first)
+    assert keypoints.ids.tolist() == [4, 5, 6]
+    mesh = made.mesh(first)
+    (record,) = json.loads((tmp_path / "out" / "keypoints.json").read_text())
+    assert record["symmetries"]["reflection"] == [{"kp_indexes": [1, 2]}]
+    places = keypoints.at.on(mesh.vertices, mesh.faces)
+    expected = [BALL.vertices[BALL.faces[face, 0]] * 0.3 for face in (0, 60, 200)]
+    assert np.abs(places - expected).max() < 0.05
+
+
+def test_dfaust_gets_triangles_of_its_own(tmp_path: Path) -> None:
+    root = write_dfaust(tmp_path / "raw", frames=2)
+    frames = ("shapes.train=null", "shapes.test=null", "shapes.test_subjects=['50020']")
+    more = ("recipe.prepare.remesh=true", *frames)
+    prepare(root, tmp_path / "out", *more, shapes="dfaust")
+    made = ShapeCollection.from_folder(tmp_path / "out")
+    assert made.ids("test") == ["50020_knees_00000", "50020_knees_00001"]
+    first, second = "50004_hips_00000", "50002_hips_00000"
+    meshes = made.mesh(first), made.mesh(second)
+    assert len(meshes[0].vertices) != len(meshes[1].vertices)
+    truths = [made.ground_truth(id) for id in (first, second)]
+    for truth, mesh in zip(truths, meshes, strict=True):
+        assert truth.template == "dfaust"
+        places = truth.at.on(mesh.vertices, mesh.faces)
+        assert np.linalg.norm(places - BALL.vertices[truth.ids], axis=1).max() < 0.02 * 2 * 3**0.5
+
+
+def test_nothing_but_its_own_folder_is_written_over(raw: Path, tmp_path: Path) -> None:
+    with pytest.raises(Unsupported, match=r"prepare\.out=.* holds shapes\.root"):
+        prepare(raw, raw.parent, "force=true")
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "thesis.txt").write_text("years of work")
+    with pytest.raises(OutputError, match=r"mine: is not empty .* name one that does not exist"):
+        prepare(raw, mine, "force=true")
+    assert (mine / "thesis.txt").read_text() == "years of work"
+
+
+def test_a_collection_without_a_usable_mesh_is_told(tmp_path: Path) -> None:
+    DEFECTS["genus_one"][0](tmp_path / "raw" / "ring.ply")
+    with pytest.raises(MissingData, match=r"none of 1 meshes can .* genus 1; .*dropped\.csv"):
+        prepare(tmp_path / "raw", tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("more", "line"),
+    [
+        (("stage=augment", "shapes.on_bad=keep"), "stage=augment; stage=prepare sets keep"),
+        (("stage=prepare", "shapes.on_bad=skip"), "on_bad=skip: was found with stage=prepare"),
+        (("stage=prepare", "recipe.prepare.repair=[heal]"), "'heal' is no kind of mending"),
+    ],
+)
+def test_words_that_would_be_ignored_are_refused(
+    raw: Path, tmp_path: Path, more: tuple[str, ...], line: str
+) -> None:
+    with pytest.raises(Unsupported, match=line):
+        run_here(*words(raw, tmp_path / "out", "shapes=folder")[1:], *more)
+
+
+@pytest.mark.parametrize("shapes", ["shapenet", "dfaust"])
+def test_raw_collections_name_the_command_that_prepares_them(shapes: str, tmp_path: Path) -> None:
+    with pytest.raises(Unsupported, match=rf"stage=prepare shapes={shapes} shapes\.root="):
+        run_here("stage=augment", f"shapes={shapes}", f"shapes.root={tmp_path}")
