@@ -4,6 +4,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from gensp.errors import Unsupported
+from gensp.geometry.guided_registration import MappedShape
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.sphere import icosphere, unit
 from gensp.methods.fitting import Known
@@ -29,11 +30,13 @@ NEW = legged(1.15, 0.75, 0.3)
 
 @pytest.fixture(scope="module")
 def atlas() -> Atlas:
+    known = [MappedShape(dirichlet()(shape)) for shape in SHAPES]
     shared = {
         "sphere": BALL.vertices,
         "faces": BALL.faces,
-        "images": np.stack([shape.vertices for shape in SHAPES]),
-        "maps": np.stack([dirichlet()(shape).sphere for shape in SHAPES]),
+        "images": np.stack([shape.mesh.vertices for shape in known]),
+        "maps": np.stack([shape.map.sphere for shape in known]),
+        "signals": np.stack([shape.signal for shape in known]).astype(np.complex64),
     }
     return Atlas.of(shared, torch.tensor([[0.0, 0.0], [1.0, 0.0], [0.0, 3.0]]))
 

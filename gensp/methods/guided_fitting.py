@@ -6,6 +6,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Float
 
 from gensp.errors import RegistrationFailed, Unsupported
@@ -56,8 +57,8 @@ class GuidedFit:
         self,
         *,
         vertices: int = 2500,
-        neighbours: int = 2,
-        alike: int = 4,
+        neighbours: int = 1,
+        alike: int = 3,
         guides: int = 2,
         registration: Mapping[str, Any] | None = None,
         schedule: Schedule = PATIENT,
@@ -79,7 +80,7 @@ class GuidedFit:
         atlas = _required(known.atlas)
         coarse = simplify(mesh, self.vertices)
         starts = self._near(known, atlas)
-        if self.guides:
+        if self.guides and atlas.signals.numel():
             starts += self._posed(MappedShape(dirichlet()(coarse)), atlas)
         best = self._best(starts, coarse)
         sphere = atlas.sphere.double().numpy()
@@ -96,9 +97,10 @@ class GuidedFit:
     def _posed(self, target: MappedShape, atlas: Atlas) -> list[Start]:
         """Known shapes in the pose of this one."""
         shapes = known_shapes(atlas)
+        signals = torch.view_as_complex(atlas.signals).numpy().astype(np.complex128)
         agreement = [
-            register_rotation(shape.signal, target.signal, candidates=1)[0].correlation
-            for shape in shapes
+            register_rotation(signal, target.signal, candidates=1)[0].correlation
+            for signal in signals
         ]
         alike = np.argsort(-np.array(agreement), kind="stable")[: self.alike]
         poses = [pose for k in alike for pose in self._poses(shapes[k], target)]

@@ -17,8 +17,8 @@ class Atlas(Network):
 
     Parameters
     ----------
-    shapes, vertices, faces, latent
-        Sizes k, n, m, d.
+    shapes, vertices, faces, latent, degrees
+        Sizes k, n, m, d, l.
 
     Attributes
     ----------
@@ -30,6 +30,9 @@ class Atlas(Network):
         Shared vertices (k, n, 3) on every shape.
     maps
         Where every shape's own bijective map has them (k, n, 3).
+    signals
+        Harmonic coefficients (k, l, o) of the maps' densities, as real and imaginary part: what
+        maps are turned to each other by. None where the maps agree without a turn.
     codes
         Codes (k, d) of the shapes.
     """
@@ -38,20 +41,26 @@ class Atlas(Network):
     triangles: Tensor
     images: Tensor
     maps: Tensor
+    signals: Tensor
     codes: Tensor
 
-    def __init__(self, shapes: int, vertices: int, faces: int, latent: int) -> None:
+    def __init__(
+        self, shapes: int, vertices: int, faces: int, latent: int, degrees: int = 0
+    ) -> None:
         super().__init__()
         self.settings: dict[str, Any] = {
             "shapes": shapes,
             "vertices": vertices,
             "faces": faces,
             "latent": latent,
+            "degrees": degrees,
         }
         self.register_buffer("sphere", torch.zeros((vertices, 3)))
         self.register_buffer("triangles", torch.zeros((faces, 3), dtype=torch.int32))
         self.register_buffer("images", torch.zeros((shapes, vertices, 3)))
         self.register_buffer("maps", torch.zeros((shapes, vertices, 3)))
+        orders = max(0, 2 * degrees - 1)
+        self.register_buffer("signals", torch.zeros((shapes, degrees, orders, 2)))
         self.register_buffer("codes", torch.zeros((shapes, latent)))
 
     @classmethod
@@ -62,11 +71,14 @@ class Atlas(Network):
         """
         kept = _spread(codes, limit)
         images = shared["images"][kept]
-        atlas = cls(len(images), images.shape[1], len(shared["faces"]), codes.shape[1])
+        signals = shared.get("signals", np.zeros((len(codes), 0, 0), dtype=np.complex64))[kept]
+        sizes = len(images), images.shape[1], len(shared["faces"]), codes.shape[1]
+        atlas = cls(*sizes, signals.shape[1])
         atlas.sphere.copy_(torch.from_numpy(shared["sphere"]))
         atlas.triangles.copy_(torch.from_numpy(shared["faces"]))
         atlas.images.copy_(torch.from_numpy(images))
         atlas.maps.copy_(torch.from_numpy(shared["maps"][kept]))
+        atlas.signals.copy_(torch.view_as_real(torch.from_numpy(signals)))
         atlas.codes.copy_(codes[kept])
         return atlas
 

@@ -199,6 +199,7 @@ class PairedStage(ItemStage):
             faces=shared.faces,
             images=np.stack(list(images.values())),
             maps=np.stack(maps),
+            signals=np.stack([self.task.shape(id).signal for id in images]).astype(np.complex64),
         )
 
     def _require_few(self, lost: list[str]) -> None:
