@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gensp.cli.options import Align, Checkpoint, Method, Out, Register
+from gensp.cli.options import Align, Method, Model, Out, Register
 
 if TYPE_CHECKING:
     from gensp.cli.pairs import Pair
@@ -18,7 +18,7 @@ def match(
     out: Out = Path("."),
     align: Align = None,
     method: Method = None,
-    checkpoint: Checkpoint = None,
+    model: Model = None,
     register: Register = False,
 ) -> None:
     """Say where every vertex of each shape lies on the other.
@@ -31,7 +31,7 @@ def match(
     from gensp.cli.terminal import two_columns, written
     from gensp.geometry.matching import matching
 
-    pair = pair_of(a, b, method=method, checkpoint=checkpoint, register=register, align=align)
+    pair = pair_of(a, b, method=method, model=model, register=register, align=align)
     known = (pair.a.arrays.get("reliability"), pair.b.arrays.get("reliability"))
     first, second = pair.names
     there = matching(pair.a, pair.b, pair.rotation, weights=known)

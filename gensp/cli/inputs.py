@@ -93,7 +93,7 @@ def _fault(arrays: Mapping[str, np.ndarray]) -> str:
 
 
 def chosen_method(
-    method: str | None, checkpoint: Path | None, register: bool
+    method: str | None, model: str | None, register: bool
 ) -> SphericalParameterization:
     """The method that the options name.
 
@@ -104,18 +104,18 @@ def chosen_method(
     """
     from gensp.methods.table import DEFAULT, per_shape
 
-    if checkpoint is None:
+    if model is None:
         if register:
-            raise Unsupported("--register: belongs to a model; --checkpoint is required; add it")
+            raise Unsupported("--register: belongs to a model; --model is required; add it")
         return per_shape(method or DEFAULT)
     if method not in (None, "gensp"):
         raise Unsupported(
-            f"--method {method} with --checkpoint: a model is a method of its own; only one of "
+            f"--method {method} with --model: a model is a method of its own; only one of "
             "them is possible; leave one out"
         )
     from gensp.api import load
 
-    return load(checkpoint, register=register)
+    return load(model, register=register or None)
 
 
 def map_of(path: Path, method: SphericalParameterization | None) -> SphericalMap:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gensp.cli.options import Align, Checkpoint, Method, Out, Register, Up, checked_axis
+from gensp.cli.options import Align, Method, Model, Out, Register, Up, checked_axis
 
 if TYPE_CHECKING:
     from gensp.geometry.mesh import Mesh
@@ -20,7 +20,7 @@ def morph(
     up: Up = "y",
     align: Align = None,
     method: Method = None,
-    checkpoint: Checkpoint = None,
+    model: Model = None,
     register: Register = False,
 ) -> None:
     """Write meshes that lead from one shape to another, all with the icosphere's triangles.
@@ -34,7 +34,7 @@ def morph(
     from gensp.geometry.morph import morphed
 
     checked_axis(up)
-    pair = pair_of(a, b, method=method, checkpoint=checkpoint, register=register, align=align)
+    pair = pair_of(a, b, method=method, model=model, register=register, align=align)
     stem = "_".join(pair.names)
     meshes = morphed(pair.a, pair.b, frames, level=icosphere, rotation=pair.rotation)
     paths = [out / f"{stem}_{k:03d}.ply" for k in range(frames)]

@@ -12,16 +12,21 @@ Method = Annotated[
         help="Method for a mesh: dirichlet (default), stretch, ahsp, cmcf. None is trained."
     ),
 ]
-Checkpoint = Annotated[
-    Path | None,
-    typer.Option(help="Use GenSP with the networks of this model.pt instead of a --method."),
+Model = Annotated[
+    str | None,
+    typer.Option(
+        "--model",
+        "--checkpoint",
+        help="Use GenSP instead of a --method, with a model of the package (heads, quadrupeds, "
+        "humans) or a model.pt.",
+    ),
 ]
 Register = Annotated[
     bool,
     typer.Option(
         "--register",
-        help="With --checkpoint: register the generated surface to the shape first. For shapes "
-        "that the model has never seen.",
+        help="With --model: register the generated surface to the shape first. For shapes "
+        "that a model.pt has never seen; models of the package do what they need by themselves.",
     ),
 ]
 Align = Annotated[

@@ -31,7 +31,7 @@ def pair_of(
     b: Path,
     *,
     method: str | None = None,
-    checkpoint: Path | None = None,
+    model: str | None = None,
     register: bool = False,
     align: bool | None = None,
 ) -> Pair:
@@ -43,7 +43,7 @@ def pair_of(
         An input cannot be used, or a map has folds.
     """
     meshes = not (is_map(a) and is_map(b))
-    made = chosen_method(method, checkpoint, register) if meshes else None
+    made = chosen_method(method, model, register) if meshes else None
     first, second = map_of(a, made), map_of(b, made)
     for path, map in ((a, first), (b, second)):
         if not map.certify():
@@ -51,5 +51,5 @@ def pair_of(
                 f"{path}: {map.certify()}; a bijective map is required; make it again with "
                 "gensp parameterize"
             )
-    wanted = meshes and checkpoint is None if align is None else align
+    wanted = meshes and model is None if align is None else align
     return Pair(first, second, aligning_rotation(first, second) if wanted else np.eye(3))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gensp.cli.options import Checkpoint, Method, Out, Register
+from gensp.cli.options import Method, Model, Out, Register
 
 if TYPE_CHECKING:
     from gensp.geometry.spherical_map import SphericalMap
@@ -16,7 +16,7 @@ def parameterize(
     mesh: Annotated[Path, typer.Argument(help="Closed genus-0 mesh: ply, obj, off or stl.")],
     out: Out = Path("."),
     method: Method = None,
-    checkpoint: Checkpoint = None,
+    model: Model = None,
     register: Register = False,
     texture: Annotated[
         bool,
@@ -41,7 +41,7 @@ def parameterize(
     from gensp.cli.inputs import chosen_method, sound_mesh
     from gensp.cli.terminal import compile_announced, progress, two_columns, written
 
-    found = chosen_method(method, checkpoint, register)
+    found = chosen_method(method, model, register)
     surface = sound_mesh(mesh)
     compile_announced()
     began = time.perf_counter()
@@ -66,8 +66,19 @@ def _figures(map: "SphericalMap", seconds: float) -> list[tuple[str, str]]:
         ("isometric σ", f"mean {measured.mean:.3f}, max {measured.max:.3f}"),
         ("isometric σ by area", f"mean {measured.area_weighted_mean:.3f}"),
         ("conformal σ", f"mean {measured.conformal_mean:.3f}, max {measured.conformal_max:.3f}"),
+        *_novelty(map),
         ("seconds", f"{seconds:.2f}"),
     ]
+
+
+def _novelty(map: "SphericalMap") -> list[tuple[str, str]]:
+    """How much the shape is like those that a model learnt from."""
+    if "novelty" not in map.diagnostics:
+        return []
+    far = map.diagnostics["far"]
+    said = "far from what the model knows: its correspondences may be wrong"
+    meaning = said if far else "like the shapes that the model knows"
+    return [("novelty", f"{map.diagnostics['novelty']:.2f}, {meaning}")]
 
 
 def _write_map(map: "SphericalMap", out: Path) -> list[Path]:

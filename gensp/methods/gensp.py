@@ -19,6 +19,7 @@ from gensp.geometry.spherical_map import SphericalMap
 from gensp.methods.fitting import Known, SurfaceOnSphere, prolong
 from gensp.models import Atlas, Generator, PointNet2Encoder, load_model
 
+NOVEL = 3.0  # gaps between known codes: farther shapes are unlike those learnt from
 T = TypeVar("T")
 Fit = Callable[[SurfaceOnSphere, Mesh, Known], SurfaceOnSphere]
 Refinement = Callable[[Mesh, np.ndarray, np.ndarray, np.ndarray], SphericalMap]
@@ -45,6 +46,8 @@ class GenSP:
         Number of clouds whose codes are averaged; by default as in training.
     atlas
         The shapes learnt from, where the model keeps them: what `fit` may start from.
+    novel
+        From which novelty (`Atlas.novelty`) a shape is reported as far from those learnt from.
     own
         The surface that is fitted is the one generated at the shape's own code (1), the mean
         image of the shapes learnt from (0), or between. What all shapes share has no bias of its
@@ -70,10 +73,12 @@ class GenSP:
         draws: int | None = None,
         own: float = 1.0,
         atlas: Atlas | None = None,
+        novel: float = NOVEL,
     ) -> None:
         self.encoder, self.generator = encoder.eval(), generator.eval()
         self.fit, self.refine = fit, refine
-        self.level, self.own, self.atlas = level, own, atlas
+        self.level, self.own = level, own
+        self.atlas, self.novel = atlas, novel
         self.points = _told("points", points, encoder)
         self.draws = _told("draws", draws, encoder)
 
@@ -115,11 +120,12 @@ class GenSP:
         image: np.ndarray = self.generator(z, at)[0].double().numpy()
         return image
 
-    def _novelty(self, code: Float[np.ndarray, " d"]) -> dict[str, float]:
+    def _novelty(self, code: Float[np.ndarray, " d"]) -> dict[str, Any]:
         """How far the code is from those learnt from, where the model knows them."""
         if self.atlas is None:
             return {}
-        return {"novelty": self.atlas.novelty(torch.from_numpy(code))}
+        novelty = self.atlas.novelty(torch.from_numpy(code))
+        return {"novelty": novelty, "far": novelty > self.novel}
 
     def _towards_mean(self, code: Float[np.ndarray, " d"]) -> Mesh:
         """The mean image, with the part `own` of what the generator adds to it for a code."""

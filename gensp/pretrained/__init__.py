@@ -65,6 +65,7 @@ class Shipped:
         arguments = {key: value for key, value in self.fit.items() if key != "kind"}
         return {
             **self.method,
+            "novel": self.novel,
             "fit": FITS[self.fit["kind"]](**arguments),
             "refine": CertifiedRefinement(**self.refine),
         }

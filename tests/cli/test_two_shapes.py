@@ -192,8 +192,8 @@ def test_bad_maps_are_told_in_one_line(
     [
         (["parameterize", "{mesh}", "--method", "magic"], "one of dirichlet, stretch, "),
         (["parameterize", "{mesh}", "--checkpoint", "no.pt"], "no.pt: does not exist"),
-        (["parameterize", "{mesh}", "--register"], "--checkpoint is required"),
-        (["parameterize", "{mesh}", "--checkpoint", "a.pt", "--method", "cmcf"], "leave one out"),
+        (["parameterize", "{mesh}", "--register"], "--model is required"),
+        (["parameterize", "{mesh}", "--model", "a.pt", "--method", "cmcf"], "leave one out"),
         (["parameterize", "{mesh}", "--geometry-image", "1"], "parameterize --help"),
         (["parameterize", "{mesh}", "--colour"], "parameterize --help"),
         (["morph", "{mesh}", "{mesh}", "--up", "w"], "one of x, y, z"),
