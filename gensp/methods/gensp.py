@@ -174,6 +174,7 @@ class GenSP:
                 "reliability": trust,
                 "generated": generated.vertices,
                 "fitted": fitted.mesh.vertices,
+                "fitted_faces": fitted.mesh.faces,
                 "code": code,
             },
         )

@@ -115,7 +115,9 @@ def map_path(parameterize: Path, id: str) -> Path:
 
 
 def predicted_surface(parameterize: Path, id: str, kind: str) -> Mesh | None:
-    """A prediction's image of the icosphere, at area 4π of the shape, or none.
+    """A prediction's image of the icosphere, or of another triangulated sphere, or none.
+
+    At area 4π of the shape.
 
     Parameters
     ----------
@@ -123,10 +125,12 @@ def predicted_surface(parameterize: Path, id: str, kind: str) -> Mesh | None:
         "generated", or "fitted": what the map was read off.
     """
     path = parameterize / "predictions" / f"{id}.npz"
-    points = load_npz(path).get(kind) if path.is_file() else None
-    return (
-        None if points is None else Mesh(points.astype(float), icosphere_of(len(points)).faces, id)
-    )
+    arrays = load_npz(path) if path.is_file() else {}
+    if kind not in arrays:
+        return None
+    points = arrays[kind].astype(float)
+    faces = arrays.get(f"{kind}_faces")
+    return Mesh(points, icosphere_of(len(points)).faces if faces is None else faces, id)
 
 
 def mapped_ids(collection: ShapeCollection, parameterize: Path) -> list[str]:
