@@ -1,4 +1,4 @@
-"""Pictures that set finished runs side by side: one texture, and colours carried by correspondence.
+"""Finished runs side by side: one texture, and colours carried by correspondence.
 
     python benchmarks/gallery.py data/quadrupeds --out docs/gallery/quadrupeds \
         GenSP=RUN/full+guided+certify dirichlet=RUN/dirichlet stretch=RUN/stretch
