@@ -19,7 +19,7 @@ from gensp.geometry.spherical_map import SphericalMap
 from gensp.methods.fitting import Known, SurfaceOnSphere, prolong
 from gensp.models import Atlas, Generator, PointNet2Encoder, load_model
 
-NOVEL = 3.0  # gaps between known codes: farther shapes are unlike those learnt from
+NOVEL = 6.0  # gaps between known codes: farther shapes are unlike those learnt from
 T = TypeVar("T")
 Fit = Callable[[SurfaceOnSphere, Mesh, Known], SurfaceOnSphere]
 Refinement = Callable[[Mesh, np.ndarray, np.ndarray, np.ndarray], SphericalMap]

@@ -72,7 +72,7 @@ def main() -> int:
     parser.add_argument(
         "--model", type=Path, help="model.pt (default: that of ../../full/finetune)"
     )
-    parser.add_argument("--novel", type=float, default=3.0, help="novelty of a foreign shape")
+    parser.add_argument("--novel", type=float, default=6.0, help="novelty of a foreign shape")
     chosen = parser.parse_args()
     model = chosen.model or chosen.maps.parent.parent / "full" / "finetune" / "model.pt"
     try:
