@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import igl
 import numpy as np
 
 from gensp.data.folder import SPLITS, Shape, list_meshes, read_manifest
@@ -23,11 +24,14 @@ _REASONS = 12  # of the reasons for dropping meshes so many are listed
 
 @dataclass(frozen=True)
 class Size:
-    """Measures of one mesh: counts, genus, area and box diagonal in its file's units."""
+    """Measures of one mesh: counts, genus, area and box diagonal in its file's units.
+
+    The genus is None where the surface is not closed.
+    """
 
     vertices: int
     faces: int
-    genus: int
+    genus: int | None
     area: float
     diagonal: float
 
@@ -74,8 +78,14 @@ def write_card(
 
 def _measured(mesh: Mesh) -> Size:
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    genus = 1 - mesh.euler // 2
-    return Size(len(mesh.vertices), len(mesh.faces), genus, mesh.area, diagonal)
+    return Size(len(mesh.vertices), len(mesh.faces), _genus(mesh), mesh.area, diagonal)
+
+
+def _genus(mesh: Mesh) -> int | None:
+    """Handles of a closed surface, over all its parts."""
+    if 2 * len(mesh.edges) != 3 * len(mesh.faces):
+        return None
+    return int(igl.facet_components(mesh.faces)[0]) - mesh.euler // 2
 
 
 def _page(folder: Path, name: str, shapes: Sequence[Shape], sizes: Mapping[str, Size]) -> str:
@@ -95,7 +105,7 @@ def _page(folder: Path, name: str, shapes: Sequence[Shape], sizes: Mapping[str, 
 def _facts(shapes: Sequence[Shape], sizes: Sequence[Size]) -> list[tuple[str, str]]:
     splits = Counter(shape.split for shape in shapes)
     told = ", ".join(f"{split} {splits[split]}" for split in SPLITS if splits[split])
-    genus = Counter(size.genus for size in sizes)
+    genus = Counter("not closed" if size.genus is None else str(size.genus) for size in sizes)
     formats = Counter(shape.path.suffix[1:].lower() for shape in shapes)
     return [
         ("meshes", f"{len(shapes)} ({told})"),

@@ -4,8 +4,10 @@ import csv
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from commands import ROOT
+from layouts import ring
 from PIL import Image
 
 from gensp.card import CARD, PICTURE, write_card
@@ -30,6 +32,7 @@ def test_numbers_are_those_of_the_meshes(tmp_path: Path, bumpy: Mesh, dumbbell: 
     assert "| meshes | 2 (train 1, test 1) |" in page
     assert "| vertices | 642 to 642, median 642 |" in page
     assert "| faces | 1,279 to 1,280, median 1,280 |" in page
+    assert "| genus | 0: 1 meshes, not closed: 1 meshes |" in page
     assert "| stone | 1 | 0 | 1 |" in page
     assert "| CC0 | here | 1 |" in page
     assert "| dense ground truth | none |" in page
@@ -44,6 +47,16 @@ def test_embedded_cards_are_those_that_the_command_writes(name: str, tmp_path: P
     with open(ROOT / "data" / name / "manifest.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert f"| meshes | {len(rows)} (" in (tmp_path / CARD).read_text()
+
+
+def test_genus_is_counted_over_all_parts(tmp_path: Path, bumpy: Mesh) -> None:
+    for name, parts in {"ring": [ring()], "both": [ring(), bumpy]}.items():
+        vertices = np.concatenate([part.vertices + 9 * k for k, part in enumerate(parts)])
+        first = [0, len(parts[0].vertices)]
+        faces = np.concatenate([part.faces + first[k] for k, part in enumerate(parts)])
+        save_mesh(Mesh(vertices, faces), tmp_path / f"{name}.ply")
+    write_card(tmp_path)
+    assert "| genus | 1: 2 meshes |" in lines(tmp_path)
 
 
 def test_so_many_meshes_are_drawn(tmp_path: Path, bumpy: Mesh) -> None:

@@ -193,6 +193,14 @@ def test_a_killed_preparation_goes_on(raw: Path, tmp_path: Path) -> None:
     assert made_differently(folder, tmp_path / "whole") == []
 
 
+@pytest.mark.slow
+def test_two_workers_make_what_one_makes(raw: Path, tmp_path: Path) -> None:
+    own = (ALL, "recipe.prepare.remesh=true")
+    prepare(raw, tmp_path / "one", *own)
+    prepare(raw, tmp_path / "two", *own, "workers.jobs=2", f"paths.cache={tmp_path / 'other'}")
+    assert made_differently(tmp_path / "one", tmp_path / "two") == []
+
+
 def test_shapenet_becomes_a_collection(tmp_path: Path) -> None:
     tree = write_shapenet(tmp_path / "tree")
     annotations = write_keypointnet(tmp_path / "annotations")
