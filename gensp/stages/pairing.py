@@ -125,14 +125,14 @@ class PairedStage(ItemStage):
     def _images(self, tree: Tree, reached: list[str]) -> dict[str, Float[np.ndarray, "n 3"]]:
         """The root's vertices on every input reached."""
         root = self.task.shape(reached[0]).mesh
-        starts = self._carried(root, tree)
+        starts = self.carried(root, tree)
         settle = Settle.prepared(self.task, self.folder / "settled", root, starts)
         for _ in run_items(settle, list(starts), settle.folder, self.workers):
             pass
         write_table(self.folder / "settled.csv", stored_rows(settle.folder))
         return {reached[0]: root.vertices} | {id: settle.image(id) for id in starts}
 
-    def _carried(self, root: Mesh, tree: Tree) -> dict[str, Float[np.ndarray, "n 3"]]:
+    def carried(self, root: Mesh, tree: Tree) -> dict[str, Float[np.ndarray, "n 3"]]:
         """The root's vertices carried along the tree, by position on each input but the root."""
         ids = self.task.ids
         at: dict[int, SurfacePoints] = {int(tree.order[0]): corners(root)}
