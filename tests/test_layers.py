@@ -23,6 +23,7 @@ ALLOWED = {
     "compute": CORE,
     "data": CORE | {"geometry", "compute"},
     "methods": CORE | {"geometry", "models", "data.clouds"},
+    "pretrained": CORE | {"methods"},
     "machine": set(),
     "runs": CORE | {"machine"},
     "tables": CORE,
@@ -42,7 +43,7 @@ ALLOWED["stages"] = set(ALLOWED) - {"mistakes", "configuration"}
 ALLOWED["execution"] = CORE | {"configuration", "machine", "runs", "stages"}
 ALLOWED["run"] = set(ALLOWED)
 # For one mesh: beside the stages, neither imports the other.
-ALLOWED["api"] = CORE | {"geometry", "methods"}
+ALLOWED["api"] = CORE | {"geometry", "methods", "pretrained"}
 ALLOWED["export"] = CORE | {"geometry"}
 ALLOWED["cli"] = CORE | {
     "compiled",

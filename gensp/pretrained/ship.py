@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from omegaconf import OmegaConf
+import yaml
 
 from gensp.errors import GenSPError, MissingStage, Unsupported
 from gensp.files import atomic_path, read_json, write_json
@@ -31,8 +31,7 @@ def entry_of(maps: Path) -> dict[str, Any]:
         raise MissingStage(
             f"{file}: does not exist; a finished folder of stage=parameterize is required"
         )
-    config = OmegaConf.to_container(OmegaConf.load(file), resolve=True)
-    assert isinstance(config, dict)
+    config = yaml.safe_load(file.read_text(encoding="utf-8"))
     fit = dict(config["method"]["object"]["fit"])
     refine = config["refine"]["object"]
     return {

@@ -19,8 +19,8 @@ from gensp.models import Atlas, Generator, PointNet2Encoder, jacobian, load_mode
 from gensp.runs import Run
 from gensp.stages.base import FitStage
 from gensp.stages.latents import CloudCodes, CodeTable, draws, save_codes
-from gensp.stages.pairing import SHARED
 from gensp.tasks.correspond import is_input
+from gensp.tasks.pairing import SHARED
 
 
 class GeneratorStage(FitStage):

@@ -29,11 +29,9 @@ from gensp.geometry.sphere import icosphere
 from gensp.geometry.spherical_map import SphericalMap
 from gensp.runs import Run
 from gensp.stages.base import ItemStage, write_table
-from gensp.tasks.pairing import RegisterPair
+from gensp.tasks.pairing import SHARED, RegisterPair
 from gensp.tasks.settling import Settle
 from gensp.terminal import warn
-
-SHARED = "shared.npz"
 
 
 class PairedStage(ItemStage):

@@ -20,6 +20,8 @@ from gensp.geometry.spherical_map import SphericalMap
 from gensp.methods.hierarchical import dirichlet
 from gensp.tasks.correspond import is_input
 
+SHARED = "shared.npz"  # the surface that all inputs share, which the stage leaves
+
 
 @dataclass(frozen=True)
 class RegisterPair:

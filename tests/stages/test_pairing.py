@@ -17,8 +17,8 @@ from gensp.geometry.sphere import icosphere, unit
 from gensp.models import Atlas
 from gensp.runs import Run
 from gensp.stages.base import read_table
-from gensp.stages.pairing import SHARED, PairedStage
-from gensp.tasks.pairing import pairing_items, pairing_task
+from gensp.stages.pairing import PairedStage
+from gensp.tasks.pairing import SHARED, pairing_items, pairing_task
 
 SERIAL = Workers(jobs=1, backend="sequential")
 SETTINGS = {
