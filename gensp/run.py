@@ -102,8 +102,6 @@ def run_stage(cfg: DictConfig, overrides: Sequence[str] = (), place: str = "") -
     settings = settings_of(cfg, inputs)
     if runs.outputs.get(name):
         require_own(folder, name)
-    if runs.outputs.get(name):
-        require_own(folder, name)
     announce(name, folder, place)
     with _output_errors(folder):
         headline = _bring_to_end(cfg, folder, runs, inputs, settings)

@@ -179,7 +179,7 @@ def test_every_recipe_key_is_read() -> None:
 def test_each_ablation_switch_is_read_where_it_belongs() -> None:
     read = reads()
     assert read["ablation.data_augmentation"] == {"data/sdf.yaml"}
-    assert read["ablation.guided_paths"] == {"data/correspond.yaml"}
+    assert read["ablation.guided_paths"] == {"correspond/tree.yaml", "correspond/paired.yaml"}
     assert read["ablation.geometric_regularization"] == {
         "stage/implicit.yaml",
         "stage/finetune.yaml",

@@ -7,6 +7,7 @@ the source takes the target's pose, and closest points do the rest. Several star
 one that strained the source least is nearest to the true correspondence.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -94,13 +95,13 @@ def register_guided(
         Every start diverged.
     """
     bending = BendingSystem(source.mesh, settings)
-    poses = [
-        posed(bending, positions, settings, scale_of(target.mesh))
-        for positions in guides(source, target, count)
-    ]
-    led = int(np.argmin([bending.strain(pose) for pose in poses])) if poses else UNGUIDED
+    poses = {}
+    for guide, positions in enumerate(guides(source, target, count) if count else []):
+        with suppress(RegistrationFailed):  # the other starts are still to be tried
+            poses[guide] = posed(bending, positions, settings, scale_of(target.mesh))
     starts = {UNGUIDED: source.mesh.vertices}
     if poses:
+        led = min(poses, key=lambda guide: bending.strain(poses[guide]))
         starts[led] = poses[led]
     return least_strained(source.mesh, target.mesh, settings, bending, starts)
 
@@ -121,8 +122,11 @@ def restarted(
     at = ClosestPointTree(bent).query(source.mesh.vertices).at
     positions = at.on(target.mesh.vertices, target.mesh.faces)
     bending = BendingSystem(source.mesh, settings)
-    start = posed(bending, positions, settings, scale_of(target.mesh))
-    again = approached(source.mesh, [target.mesh], settings, bending, start)
+    try:
+        start = posed(bending, positions, settings, scale_of(target.mesh))
+        again = approached(source.mesh, [target.mesh], settings, bending, start)
+    except RegistrationFailed:
+        return found
     return min(found, Guided(again, INVERSE), key=lambda guided: guided.best.strain)
 
 

@@ -1,6 +1,7 @@
 """Fitting the surface that a model's shapes share to a new shape, led by certified maps."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -110,8 +111,9 @@ class GuidedFit:
         bending, scale = BendingSystem(shape.mesh, self.settings), scale_of(target.mesh)
         found = []
         for positions in guides(shape, target, self.guides):
-            pose = posed(bending, positions, self.settings, scale)
-            found.append(Start(shape.mesh, pose, bending.strain(pose)))
+            with suppress(RegistrationFailed):  # the other starts are still to be tried
+                pose = posed(bending, positions, self.settings, scale)
+                found.append(Start(shape.mesh, pose, bending.strain(pose)))
         return found
 
     def _best(self, starts: list[Start], target: Mesh) -> Registration:

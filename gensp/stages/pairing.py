@@ -124,6 +124,8 @@ class PairedStage(ItemStage):
         """The root's vertices on every input reached."""
         root = self.task.shape(reached[0]).mesh
         starts = self.carried(root, tree)
+        if not starts:
+            return {reached[0]: root.vertices}
         settle = Settle.prepared(self.task, self.folder / "settled", root, starts)
         for _ in run_items(settle, list(starts), settle.folder, self.workers):
             pass
@@ -224,7 +226,7 @@ class PairedStage(ItemStage):
             "fold_rate": mean("fold_rate", rows),
             "valid": mean("valid", rows),
             "depth": mean("depth", rows),
-            "strain": mean("strain", edges),
+            "strain": mean("strain", [row for row in edges if "strain" in row]),
             "seconds_per_edge": mean("seconds", edges),
             "rejected": sum(not row["accepted"] for row in edges),
         }

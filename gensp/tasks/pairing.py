@@ -12,7 +12,8 @@ from jaxtyping import Float
 
 from gensp.compute import Row
 from gensp.data.items import item_mesh
-from gensp.files import load_npz, save_npz
+from gensp.errors import RegistrationFailed, Unsupported
+from gensp.files import content_hash, load_npz, save_npz
 from gensp.geometry.guided_registration import Guided, MappedShape, register_guided, restarted
 from gensp.geometry.registration import Acceptance, RegistrationSettings
 from gensp.geometry.rotation_registration import register_rotation
@@ -39,6 +40,8 @@ class RegisterPair:
         one in the middle of latent space (No-GP).
     guides
         Rotations of the guiding maps that are tried; 0: closest points alone.
+    settle_from
+        First stiffness of the registrations from the root, see `softened`.
     """
 
     augment: Path
@@ -48,6 +51,7 @@ class RegisterPair:
     guides: int
     settings: RegistrationSettings
     acceptance: Acceptance
+    settle_from: float = 30.0
 
     @cached_property
     def ids(self) -> tuple[str, ...]:
@@ -65,6 +69,23 @@ class RegisterPair:
     def shape(self, id: str) -> MappedShape:
         """An input with its own map, `guides/<id>.npz`, which is made when first asked for."""
         return _shape(self.augment, self.folder / "guides", id)
+
+    @property
+    def softened(self) -> RegistrationSettings:
+        """The settings without their stiffest steps.
+
+        Raises
+        ------
+        Unsupported
+            No step is left.
+        """
+        soft = tuple(step for step in self.settings.schedule if step[0] <= self.settle_from)
+        if not soft:
+            raise Unsupported(
+                f"recipe.correspond.settle_from={self.settle_from:g}: the schedule has no step as "
+                "soft as that; raise it, or lengthen recipe.correspond.paired_schedule"
+            )
+        return replace(self.settings, schedule=soft)
 
     def pairs(self) -> list[str]:
         """The items: pairs worth registering."""
@@ -92,7 +113,11 @@ class RegisterPair:
         """A row of both registrations."""
         began = time.perf_counter()
         a, b = item.split("/")
-        ahead, back = self._both(self.shape(a), self.shape(b))
+        try:
+            ahead, back = self._both(self.shape(a), self.shape(b))
+        except RegistrationFailed as error:
+            seconds = round(time.perf_counter() - began, 3)
+            return {"id": item, "accepted": False, "complaints": str(error), "seconds": seconds}
         self._save(a, b, ahead)
         self._save(b, a, back)
         complaints = [self.acceptance.complaint(found.best) for found in (ahead, back)]
@@ -146,12 +171,20 @@ def _star(distance: Float[np.ndarray, "k k"]) -> set[tuple[int, int]]:
     return {(min(centre, k), max(centre, k)) for k in range(len(distance)) if k != centre}
 
 
-@lru_cache(maxsize=256)
 def _shape(augment: Path, maps: Path, id: str) -> MappedShape:
-    mesh, path = item_mesh(augment, id), maps / f"{id}.npz"
-    if not path.is_file():
-        save_npz(path, sphere=dirichlet()(mesh).sphere)
-    return MappedShape(SphericalMap(load_npz(path)["sphere"], mesh.vertices, mesh.faces, id))
+    """A shape with its map; the map is kept with the digest of the mesh that it belongs to."""
+    mesh = item_mesh(augment, id)
+    return _mapped(maps / f"{id}.npz", content_hash(mesh.vertices, mesh.faces), augment, id)
+
+
+@lru_cache(maxsize=256)
+def _mapped(path: Path, key: str, augment: Path, id: str) -> MappedShape:
+    mesh = item_mesh(augment, id)
+    stored = load_npz(path) if path.is_file() else {}
+    if str(stored.get("mesh")) != key:
+        stored = {"sphere": dirichlet()(mesh).sphere, "mesh": np.array(key)}
+        save_npz(path, **stored)
+    return MappedShape(SphericalMap(stored["sphere"], mesh.vertices, mesh.faces, id))
 
 
 def pairing_task(
@@ -163,6 +196,7 @@ def pairing_task(
     guides: int,
     registration: Mapping[str, Any],
     schedule: Sequence[Sequence[float]],
+    settle_from: float,
     acceptance: Mapping[str, float],
 ) -> RegisterPair:
     """The task as the configuration gives it.
@@ -182,6 +216,7 @@ def pairing_task(
         guides=guides,
         settings=replace(RegistrationSettings(**registration), schedule=schedule),
         acceptance=Acceptance(**acceptance),
+        settle_from=settle_from,
     )
 
 

@@ -1,8 +1,9 @@
 """Stage III-a, paired: the root registered to every input, from where the tree leads (ours)."""
 
+import shutil
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -10,13 +11,13 @@ import numpy as np
 from jaxtyping import Float
 
 from gensp.compute import Row
+from gensp.errors import RegistrationFailed
 from gensp.files import load_npz, save_npz
 from gensp.geometry.mesh import Mesh
-from gensp.geometry.registration import RegistrationSettings, register
+from gensp.geometry.registration import Registration, register
 from gensp.tasks.pairing import RegisterPair
 
 STARTS = "starts.npz"
-STIFFEST = 30.0
 
 
 @dataclass(frozen=True)
@@ -35,26 +36,30 @@ class Settle:
     def prepared(
         cls, task: RegisterPair, folder: Path, root: Mesh, starts: Mapping[str, np.ndarray]
     ) -> "Settle":
-        """Keep the root and the starts of all inputs where the workers find them."""
-        positions = np.stack(list(starts.values()))
-        save_npz(
-            folder / STARTS,
-            ids=np.array(list(starts)),
-            starts=positions,
-            vertices=root.vertices,
-            faces=root.faces,
+        """Keep the root and the starts of all inputs where the workers find them.
+
+        What was settled from other starts is removed first.
+        """
+        arrays = {
+            "ids": np.array(list(starts)),
+            "starts": np.stack(list(starts.values())),
+            "vertices": root.vertices,
+            "faces": root.faces,
+            "schedule": np.array(task.softened.schedule),
+        }
+        path = folder / STARTS
+        known = load_npz(path) if path.is_file() else {}
+        same = known.keys() == arrays.keys() and all(
+            np.array_equal(known[name], value) for name, value in arrays.items()
         )
+        if folder.is_dir() and not same:
+            shutil.rmtree(folder)
+        save_npz(path, **arrays)
         return cls(task, folder)
 
     @cached_property
     def _stored(self) -> dict[str, np.ndarray]:
         return load_npz(self.folder / STARTS)
-
-    @property
-    def _settings(self) -> RegistrationSettings:
-        whole = self.task.settings
-        soft = tuple(step for step in whole.schedule if step[0] <= STIFFEST)
-        return replace(whole, schedule=soft)
 
     def __call__(self, id: str) -> Row:
         """Register, and keep the result if it meets the bounds of the tree's edges."""
@@ -62,21 +67,29 @@ class Settle:
         stored = self._stored
         start = stored["starts"][stored["ids"].tolist().index(id)]
         root = Mesh(stored["vertices"], stored["faces"], "root")
-        found = register(
-            root, [self.task.shape(id).mesh], settings=self.task.settings, start=start
-        )
+        row: Row = {"id": id, "kept": False}
+        vertices = start
+        try:
+            found = register(
+                root, [self.task.shape(id).mesh], settings=self.task.softened, start=start
+            )
+        except RegistrationFailed as error:
+            row["complaints"] = str(error)
+        else:
+            row |= self._judged(found)
+            vertices = found.vertices if row["kept"] else start
+        save_npz(self._path(id), vertices=vertices)
+        return row | {"seconds": round(time.perf_counter() - began, 3)}
+
+    def _judged(self, found: Registration) -> Row:
         complaint = self.task.acceptance.complaint(found)
-        kept = complaint == ""
-        save_npz(self._path(id), vertices=found.vertices if kept else start)
         return {
-            "id": id,
-            "kept": kept,
+            "kept": complaint == "",
             "strain": found.strain,
             "residual": found.residual,
             "coverage": found.coverage,
             "fold_rate": found.fold_rate,
             "complaints": complaint,
-            "seconds": round(time.perf_counter() - began, 3),
         }
 
     def image(self, id: str) -> Float[np.ndarray, "n 3"]:

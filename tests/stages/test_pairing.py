@@ -27,6 +27,7 @@ SETTINGS = {
     "guides": 2,
     "registration": {},
     "schedule": [[30.0, 6], [3.0, 3], [0.3, 3], [0.1, 2]],
+    "settle_from": 3.0,
     "acceptance": {"residual": 0.05, "coverage": 0.05, "fold_rate": 0.05},
 }
 BALL = icosphere(3)
