@@ -64,7 +64,7 @@ def test_poses_find_a_turned_shape_whatever_its_code(atlas: Atlas) -> None:
 
 
 def test_a_model_without_known_shapes_is_refused() -> None:
-    with pytest.raises(Unsupported, match=r"no surface.*correspond=paired"):
+    with pytest.raises(Unsupported, match=r"no surface.*fit=register"):
         GuidedFit()(None, NEW, Known(np.zeros(2), lambda p: p))
 
 

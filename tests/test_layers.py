@@ -23,7 +23,7 @@ ALLOWED = {
     "compute": CORE,
     "data": CORE | {"geometry", "compute"},
     "methods": CORE | {"geometry", "models", "data.clouds"},
-    "pretrained": CORE | {"methods"},
+    "pretrained": CORE | {"methods", "models"},
     "machine": set(),
     "runs": CORE | {"machine"},
     "tables": CORE,

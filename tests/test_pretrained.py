@@ -1,14 +1,15 @@
-import time
+import json
 
 import numpy as np
 import pytest
 
 import gensp
 from gensp.errors import MissingStage, Unsupported
+from gensp.files import read_json, write_text
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import icosphere
-from gensp.pretrained import FOLDER, LARGEST, digest, shipped
-from gensp.pretrained.ship import entry_of
+from gensp.pretrained import FITS, FOLDER, LARGEST, digest, shipped
+from gensp.pretrained.ship import entry_of, ship
 
 NAMES = sorted(shipped())
 
@@ -23,11 +24,9 @@ def test_every_file_has_its_entry_and_is_small() -> None:
 def test_a_model_of_the_package_maps_what_it_never_saw(name: str) -> None:
     ball = icosphere(3)
     egg = Mesh(ball.vertices * np.array([1.0, 1.3, 0.9]) + 0.1 * ball.vertices**2, ball.faces)
-    began = time.perf_counter()
     map = gensp.load(name)(egg)
     assert map.certify().bijective
     assert map.diagnostics["novelty"] > shipped()[name].novel
-    assert time.perf_counter() - began < 60
 
 
 def test_a_changed_file_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:
@@ -37,6 +36,31 @@ def test_a_changed_file_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path) ->
     with pytest.raises(Unsupported, match=r"SHA-256 .* required"):
         gensp.load(name)
     assert digest(tmp_path / f"{name}.pt") != shipped()[name].sha256
+
+
+def test_shipping_copies_the_model_and_how_it_is_used(
+    monkeypatch: pytest.MonkeyPatch, tmp_path
+) -> None:
+    known, maps = shipped()[NAMES[0]], tmp_path / "maps"
+    target = f"gensp.methods.fitting.{FITS['register'].__name__}"
+    config = {
+        "method": {
+            "name": "gensp",
+            "object": {"level": 5, "fit": {"_target_": target, "level": 4}},
+        },
+        "fit": {"own": 0.5},
+        "refine": {"object": {"pull": 7.0, "floor": 0.3}},
+    }
+    write_text(maps / "config.yaml", json.dumps(config))
+    write_text(maps / "manifest.json", "{}")
+    monkeypatch.setattr("gensp.pretrained.ship.FOLDER", tmp_path)
+    monkeypatch.setattr("gensp.pretrained.ship.TABLE", tmp_path / "models.json")
+    ship("copy", maps, known.path, novel=2.0)
+    entry = read_json(tmp_path / "models.json")["copy"]
+    assert entry["sha256"] == known.sha256 == digest(tmp_path / "copy.pt")
+    assert entry["method"] == {"level": 5, "own": 0.5}
+    assert entry["fit"] == {"kind": "register", "level": 4}
+    assert entry["refine"] == {"pull": 7.0, "floor": 0.3}
 
 
 def test_a_folder_that_is_no_parameterization_is_refused(tmp_path) -> None:

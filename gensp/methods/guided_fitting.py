@@ -47,7 +47,8 @@ class GuidedFit:
     alike
         Shapes whose poses are tried.
     guides
-        Rotations of the sphere that are tried for each of these; 0: no poses.
+        Rotations of the sphere that are tried for each of these; 0: no poses. None are tried for
+        models whose known shapes all have agreeing maps (correspond=tree) either.
     registration
         Changes of the settings' defaults.
     schedule
@@ -150,7 +151,7 @@ def _triangles(atlas: Atlas) -> np.ndarray:
 def _required(atlas: Atlas | None) -> Atlas:
     if atlas is None:
         raise Unsupported(
-            "fit=guided: the model keeps no surface that its shapes share; a model trained with "
-            "correspond=paired is required, or choose fit=register"
+            "fit=guided: the model keeps no surface that its shapes share; one made since models "
+            "do is required; run stage=finetune force=true, or choose fit=register"
         )
     return atlas

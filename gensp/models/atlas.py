@@ -74,8 +74,8 @@ class Atlas(Network):
         signals = shared.get("signals", np.zeros((len(codes), 0, 0), dtype=np.complex64))[kept]
         sizes = len(images), images.shape[1], len(shared["faces"]), codes.shape[1]
         atlas = cls(*sizes, signals.shape[1])
-        atlas.sphere.copy_(torch.from_numpy(shared["sphere"]))
-        atlas.triangles.copy_(torch.from_numpy(shared["faces"]))
+        atlas.sphere.copy_(torch.tensor(shared["sphere"]))
+        atlas.triangles.copy_(torch.tensor(shared["faces"]))
         atlas.images.copy_(torch.from_numpy(images))
         atlas.maps.copy_(torch.from_numpy(shared["maps"][kept]))
         atlas.signals.copy_(torch.view_as_real(torch.from_numpy(signals)))
@@ -83,7 +83,7 @@ class Atlas(Network):
         return atlas
 
     def novelty(self, code: Tensor) -> float:
-        """Distance of a code (d,) to the nearest known one, over the median of the known ones'.
+        """Distance of a code (d,) to the nearest kept one, over the median of the kept ones'.
 
         About 1 for shapes such as those learnt from; infinite where only one is known.
         """

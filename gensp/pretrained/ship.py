@@ -12,6 +12,7 @@ import yaml
 
 from gensp.errors import GenSPError, MissingStage, Unsupported
 from gensp.files import atomic_path, read_json, write_json
+from gensp.models import load_model
 from gensp.pretrained import FITS, FOLDER, LARGEST, TABLE, digest
 
 _KINDS = {f"{cls.__module__}.{cls.__name__}": kind for kind, cls in FITS.items()}
@@ -27,11 +28,11 @@ def entry_of(maps: Path) -> dict[str, Any]:
         The folder holds no configuration.
     """
     file = maps / "config.yaml"
-    if not file.is_file():
-        raise MissingStage(
-            f"{file}: does not exist; a finished folder of stage=parameterize is required"
-        )
+    if not file.is_file() or not (maps / "manifest.json").is_file():
+        raise MissingStage(f"{maps}: a finished folder of stage=parameterize is required")
     config = yaml.safe_load(file.read_text(encoding="utf-8"))
+    if config["method"]["name"] != "gensp":
+        raise Unsupported(f"{maps}: method=gensp is required; found {config['method']['name']}")
     fit = dict(config["method"]["object"]["fit"])
     refine = config["refine"]["object"]
     return {
@@ -49,6 +50,8 @@ def ship(name: str, maps: Path, model: Path, novel: float) -> Path:
     Unsupported
         The file is too large.
     """
+    if "atlas" not in load_model(model):
+        raise Unsupported(f"{model}: knows no shapes; a model.pt of stage=finetune is required")
     size = model.stat().st_size
     if size > LARGEST:
         raise Unsupported(
