@@ -22,6 +22,16 @@ def two_columns(title: str, rows: Iterable[tuple[str, str]]) -> None:
     Console().print(table)
 
 
+def show_table(title: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """A table with headings."""
+    table = Table(title=title, title_justify="left", header_style="bold", show_lines=True)
+    for heading in header:
+        table.add_column(heading, overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table)
+
+
 def sections(parts: Iterable[tuple[str, Sequence[str]]]) -> None:
     """Headings with lines below; none is ever broken, so that file names can be copied."""
     console = Console(highlight=False)
