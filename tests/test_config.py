@@ -106,7 +106,7 @@ def test_recipes_fill_every_stage(stage: str, recipe: str) -> None:
 @pytest.mark.parametrize("group", ["trainer", "logger", "callbacks", "debug", "experiment"])
 def test_surroundings(group: str) -> None:
     for choice in choices(group):
-        check(composed("stage=implicit", f"{group}={choice}"))
+        check(composed("stage=implicit", f"{group}={choice}", "++shapes.root=meshes"))
 
 
 @pytest.mark.parametrize("recipe", choices("recipe"))
@@ -120,7 +120,7 @@ def test_networks_are_made(recipe: str, generator: str) -> None:
 def test_pipelines_name_stages() -> None:
     for experiment in choices("experiment"):
         for entry in composed(f"experiment={experiment}").pipeline:
-            check(composed(f"experiment={experiment}", *entry))
+            check(composed(f"experiment={experiment}", *entry, "++shapes.root=meshes"))
 
 
 def keys_of(node: Any, prefix: str = "") -> set[str]:
@@ -134,7 +134,7 @@ def test_recipes_have_the_same_keys() -> None:
         name: keys_of(OmegaConf.to_container(composed(f"recipe={name}").recipe))
         for name in choices("recipe")
     }
-    assert set(recipes) == {"paper", "quick", "cpu", "smoke"}
+    assert set(recipes) == {"paper", "quick", "cpu", "cpu_humans", "smoke"}
     for name, keys in recipes.items():
         assert keys == recipes["paper"], name
 
