@@ -50,7 +50,7 @@ def _write_open(path: Path) -> None:
         (
             ("stage=implict",),
             "stage=implict: stage has no 'implict'; one of all, augment, correspond, evaluate, "
-            "finetune, implicit, initialize, parameterize is required; did you mean "
+            "finetune, implicit, initialize, parameterize, prepare is required; did you mean "
             "stage=implicit?",
         ),
         (

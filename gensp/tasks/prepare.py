@@ -16,7 +16,7 @@ from gensp.data.keypoints import Record, carry_keypoints, keypoint_distance, sym
 from gensp.data.raw import RawCollection
 from gensp.errors import BadMesh
 from gensp.files import atomic_path, content_hash, load_npz, save_npz, write_json
-from gensp.geometry.mesh import Mesh, normalize
+from gensp.geometry.mesh import MAX_FACES, Mesh, normalize
 from gensp.geometry.ply import ply_bytes
 from gensp.geometry.points import SurfacePoints
 from gensp.geometry.preparation import DROPPED, Preparation, Prepared, words
@@ -200,7 +200,7 @@ def prepare_task(
     solid: Mapping[str, Any],
     vertices: int | None,
     remesh: bool,
-    max_faces: int,
+    max_faces: int | None,
     cache: str | Path | None,
     **settings: Any,
 ) -> Prepare:
@@ -208,7 +208,7 @@ def prepare_task(
     # Typed as 0 it is no float.
     solid = {**solid, "largest_radius": float(solid["largest_radius"])}
     preparation = Preparation(
-        tuple(repair), weld, largest_hole, solid, vertices, remesh, max_faces
+        tuple(repair), weld, largest_hole, solid, vertices, remesh, max_faces or MAX_FACES
     )
     kept = None if cache is None else Path(cache)
     return Prepare(collection, Path(folder), preparation, cache=kept, **settings)
