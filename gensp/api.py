@@ -112,6 +112,6 @@ def load(model: Path | str, *, register: bool | None = None, **settings: Any) ->
     chosen = (
         {"fit": NoFit(), "refine": CertifiedRefinement()} if known is None else known.settings()
     )
-    if register is not None:
+    if register is not None and not (register and isinstance(chosen["fit"], RegisterFit)):
         chosen["fit"] = RegisterFit() if register else NoFit()
     return GenSP.load(model if known is None else known.path, **{**chosen, **settings})

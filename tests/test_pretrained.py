@@ -8,6 +8,7 @@ from gensp.errors import MissingStage, Unsupported
 from gensp.files import read_json, write_text
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import icosphere
+from gensp.methods.fitting import NoFit
 from gensp.pretrained import FITS, FOLDER, LARGEST, digest, shipped
 from gensp.pretrained.ship import entry_of, ship
 
@@ -27,6 +28,12 @@ def test_a_model_of_the_package_maps_what_it_never_saw(name: str) -> None:
     map = gensp.load(name)(egg)
     assert map.certify().bijective
     assert map.diagnostics["novelty"] > shipped()[name].novel
+
+
+def test_a_model_that_registers_keeps_how_it_does() -> None:
+    kept = gensp.load("heads", register=True).fit
+    assert kept.settings == gensp.load("heads").fit.settings
+    assert isinstance(gensp.load("heads", register=False).fit, NoFit)
 
 
 def test_a_changed_file_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:
