@@ -7,9 +7,10 @@ the source takes the target's pose, and closest points do the rest. Several star
 one that strained the source least is nearest to the true correspondence.
 """
 
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -39,10 +40,8 @@ PATIENT = (
     (0.1, 3),
 )
 UNGUIDED, INVERSE = -1, -2
-_FAR, _NEAR = (
-    2.0,
-    0.02,
-)  # a guide's point over distance d weighs 1/(1 + (d/ℓ)²), ℓ = 2 median + 0.02
+# A guide's point at distance d weighs 1/(1 + (d/ℓ)²) with ℓ = _FAR · median(d) + _NEAR.
+_FAR, _NEAR = 2.0, 0.02
 
 
 @dataclass(frozen=True)
@@ -103,7 +102,12 @@ def register_guided(
     if poses:
         led = min(poses, key=lambda guide: bending.strain(poses[guide]))
         starts[led] = poses[led]
-    return least_strained(source.mesh, target.mesh, settings, bending, starts)
+    return least_strained(
+        {
+            guide: partial(approached, source.mesh, [target.mesh], settings, bending, start)
+            for guide, start in starts.items()
+        }
+    )
 
 
 def restarted(
@@ -130,22 +134,22 @@ def restarted(
     return min(found, Guided(again, INVERSE), key=lambda guided: guided.best.strain)
 
 
-def least_strained(
-    source: Mesh,
-    target: Mesh,
-    settings: RegistrationSettings,
-    bending: BendingSystem,
-    starts: dict[int, Float[np.ndarray, "n 3"]],
-) -> Guided:
-    """Register from every start; of the results the least strained."""
+def least_strained(attempts: Mapping[int, Callable[[], Registration]]) -> Guided:
+    """Of several registrations, each under the number of its guide, the least strained.
+
+    Raises
+    ------
+    RegistrationFailed
+        Every one diverged.
+    """
     found, failures = [], []
-    for guide, start in starts.items():
+    for guide, attempt in attempts.items():
         try:
-            found.append(Guided(approached(source, [target], settings, bending, start), guide))
+            found.append(Guided(attempt(), guide))
         except RegistrationFailed as error:
-            failures.append(str(error))
+            failures.append(error)
     if not found:
-        raise RegistrationFailed(failures[0])
+        raise failures[0]
     return min(found, key=lambda guided: guided.best.strain)
 
 

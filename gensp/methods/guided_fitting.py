@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,13 @@ import torch
 from jaxtyping import Float
 
 from gensp.errors import RegistrationFailed, Unsupported
-from gensp.geometry.guided_registration import PATIENT, MappedShape, guides, posed
+from gensp.geometry.guided_registration import (
+    PATIENT,
+    MappedShape,
+    guides,
+    least_strained,
+    posed,
+)
 from gensp.geometry.mesh import Mesh, simplify
 from gensp.geometry.registration import Registration, RegistrationSettings, approached
 from gensp.geometry.registration_step import BendingSystem, Schedule, scale_of
@@ -84,7 +90,9 @@ class GuidedFit:
         starts = self._near(known, atlas)
         if self.guides and atlas.signals.numel():
             starts += self._posed(MappedShape(dirichlet()(coarse)), atlas)
-        best = self._best(starts, coarse)
+        best = least_strained(
+            {k: partial(self._registered, start, coarse) for k, start in enumerate(starts)}
+        ).best
         sphere = atlas.sphere.double().numpy()
         return SurfaceOnSphere(Mesh(best.vertices, _triangles(atlas), mesh.name), sphere)
 
@@ -117,19 +125,9 @@ class GuidedFit:
                 found.append(Start(shape.mesh, pose, bending.strain(pose)))
         return found
 
-    def _best(self, starts: list[Start], target: Mesh) -> Registration:
-        found, failures = [], []
-        for start in starts:
-            try:
-                bending = BendingSystem(start.source, self.settings)
-                found.append(
-                    approached(start.source, [target], self.settings, bending, start.vertices)
-                )
-            except RegistrationFailed as error:
-                failures.append(str(error))
-        if not found:
-            raise RegistrationFailed(failures[0])
-        return min(found, key=lambda registration: registration.strain)
+    def _registered(self, start: Start, target: Mesh) -> Registration:
+        bending = BendingSystem(start.source, self.settings)
+        return approached(start.source, [target], self.settings, bending, start.vertices)
 
 
 @lru_cache(maxsize=1)
