@@ -8,14 +8,12 @@ from typing import Any, Self
 import numpy as np
 
 from gensp.compute import Row, Workers
-from gensp.errors import RegistrationFailed
-from gensp.files import load_npz, save_npz, write_json
-from gensp.geometry.consistency import coverage
+from gensp.files import load_npz, write_json
 from gensp.geometry.correspondence import Correspondence, Tree, propagate
-from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import icosphere
 from gensp.runs import Run
 from gensp.stages.base import ItemStage, write_table
+from gensp.stages.images import image_metrics, lost_rows, mean_of, require_few, write_image
 from gensp.tasks.again import Rounds
 from gensp.tasks.correspond import RegisterEdge, edge_path, is_input
 from gensp.tasks.joining import (
@@ -91,11 +89,14 @@ class CorrespondStage(ItemStage):
         tree, reached = self._final_tree(self.parents)
         self._write_tree(tree, reached)
         images = self._agreed(dict(self._carried(tree, reached)))
-        rows = [self._carried_row(id, found) for id, found in images.items()]
+        rows = [
+            write_image(self.folder, id, found, self.task.mesh(id), self._depth[id])
+            for id, found in images.items()
+        ]
         lost = [id for id in self.task.shapes.ids if is_input(id) and id not in self.parents]
-        rows += [{"id": id, "error": "no registration reached it"} for id in lost]
+        rows += lost_rows(lost)
         write_table(self.folder / "shapes.csv", rows)
-        self._require_few(lost)
+        require_few(self.folder, lost, self.max_failures, "add recipe.correspond.retries")
         metrics = self._metrics([row for row in rows if not row.get("error")])
         return {**metrics, "lost": len(lost), **counts}
 
@@ -189,50 +190,12 @@ class CorrespondStage(ItemStage):
             )
         return carried | agreed
 
-    def _carried_row(self, id: str, found: Correspondence) -> Row:
-        """Write a shape's correspondences; measure how much of the shape they reach."""
-        path = self.folder / "correspondences" / f"{id}.npz"
-        save_npz(path, points=found.points, valid=found.valid)
-        image = Mesh(found.points, icosphere(self.level).faces, id)
-        gaps = coverage(self.task.mesh(id), image)
-        return {
-            "id": id,
-            "input": is_input(id),
-            "depth": self._depth[id],
-            "fold_rate": found.fold_rate,
-            "valid": float(found.valid.mean()),
-            "coverage": gaps.mean,
-            "coverage_max": gaps.max,
-        }
-
-    def _require_few(self, lost: list[str]) -> None:
-        if len(lost) > self.max_failures:
-            raise RegistrationFailed(
-                f"{self.folder}: {len(lost)} input shapes ({', '.join(lost[:5])}) have no "
-                f"accepted registration, at most {self.max_failures} may lack one; see edges.csv; "
-                "widen recipe.correspond.acceptance, add recipe.correspond.retries, or raise "
-                "recipe.correspond.max_failures"
-            )
-        if lost:
-            warn(
-                f"{len(lost)} input shapes ({', '.join(lost)}) have no accepted registration and "
-                f"are not learnt from; see {self.folder / 'shapes.csv'}"
-            )
-
     def _metrics(self, rows: list[Row]) -> dict[str, float]:
-        inputs = [row for row in rows if row["input"]]
         edges = [row for row in self.rows if not row.get("error")]
-
-        def mean(name: str, of: list[Row]) -> float:
-            return float(np.mean([float(row[name] or 0) for row in of])) if of else float("nan")
-
         return {
-            "coverage": mean("coverage", inputs),
-            "fold_rate": mean("fold_rate", inputs),
-            "valid": mean("valid", inputs),
-            "depth": mean("depth", inputs),
-            "residual": mean("residual", [row for row in edges if "residual" in row]),
-            "seconds_per_edge": mean("seconds", edges),
+            **image_metrics(rows),
+            "residual": mean_of(edges, "residual"),
+            "seconds_per_edge": mean_of(edges, "seconds"),
             "retried": sum(int(row["attempts"] or 0) > 1 for row in edges),
             "joined_elsewhere": sum(bool(row.get("joined_elsewhere")) for row in edges),
             "rejected": sum(not row["accepted"] for row in edges),

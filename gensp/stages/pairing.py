@@ -9,14 +9,10 @@ from jaxtyping import Float
 
 from gensp.compute import Row, Workers, run_items, stored_rows
 from gensp.data.shapes import SPHERE
-from gensp.errors import RegistrationFailed
 from gensp.files import save_npz, write_json
-from gensp.geometry.consistency import coverage
 from gensp.geometry.correspondence import (
-    Correspondence,
     Tree,
     carry,
-    closest_agreeing,
     correspondence,
 )
 from gensp.geometry.distance import ClosestPointTree
@@ -29,9 +25,9 @@ from gensp.geometry.sphere import icosphere
 from gensp.geometry.spherical_map import SphericalMap
 from gensp.runs import Run
 from gensp.stages.base import ItemStage, write_table
+from gensp.stages.images import image_metrics, lost_rows, mean_of, require_few, write_image
 from gensp.tasks.pairing import SHARED, RegisterPair
 from gensp.tasks.settling import Settle
-from gensp.terminal import warn
 
 
 class PairedStage(ItemStage):
@@ -91,11 +87,8 @@ class PairedStage(ItemStage):
         sphere = self._placed(images)
         rows = self._written(images, sphere, tree)
         lost = [id for id in self.task.ids if id not in reached]
-        write_table(
-            self.folder / "shapes.csv",
-            [*rows, *({"id": id, "error": "no registration reached it"} for id in lost)],
-        )
-        self._require_few(lost)
+        write_table(self.folder / "shapes.csv", [*rows, *lost_rows(lost)])
+        require_few(self.folder, lost, self.max_failures, "raise recipe.correspond.neighbours")
         return {**self._metrics(rows), "lost": len(lost), **counts}
 
     def _tree(self) -> Tree:
@@ -165,24 +158,9 @@ class PairedStage(ItemStage):
         rows = []
         for id, vertices in images.items():
             mesh = self.task.shape(id).mesh
-            found = _met(at, Mesh(vertices, shared.faces), mesh, ball.faces)
-            save_npz(
-                self.folder / "correspondences" / f"{id}.npz",
-                points=found.points,
-                valid=found.valid,
-            )
-            gaps = coverage(mesh, Mesh(found.points, ball.faces, id))
-            rows.append(
-                {
-                    "id": id,
-                    "input": True,
-                    "depth": depth[id],
-                    "fold_rate": found.fold_rate,
-                    "valid": float(found.valid.mean()),
-                    "coverage": gaps.mean,
-                    "coverage_max": gaps.max,
-                }
-            )
+            met = carry(at, shared.faces, vertices, mesh)
+            found = correspondence(met, mesh, ball.faces)
+            rows.append(write_image(self.folder, id, found, mesh, depth[id]))
         return rows
 
     def _keep(self, images: Mapping[str, np.ndarray], shared: SphericalMap) -> None:
@@ -202,38 +180,11 @@ class PairedStage(ItemStage):
             signals=np.stack([self.task.shape(id).signal for id in images]).astype(np.complex64),
         )
 
-    def _require_few(self, lost: list[str]) -> None:
-        if len(lost) > self.max_failures:
-            raise RegistrationFailed(
-                f"{self.folder}: {len(lost)} input shapes ({', '.join(lost[:5])}) have no "
-                f"accepted registration, at most {self.max_failures} may lack one; see edges.csv; "
-                "widen recipe.correspond.acceptance, raise recipe.correspond.neighbours, or raise "
-                "recipe.correspond.max_failures"
-            )
-        if lost:
-            warn(
-                f"{len(lost)} input shapes ({', '.join(lost)}) have no accepted registration and "
-                f"are not learnt from; see {self.folder / 'shapes.csv'}"
-            )
-
     def _metrics(self, rows: list[Row]) -> dict[str, float]:
-        def mean(name: str, of: list[Row]) -> float:
-            return float(np.mean([float(row[name] or 0) for row in of])) if of else float("nan")
-
         edges = [row for row in self.rows if not row.get("error")]
         return {
-            "coverage": mean("coverage", rows),
-            "fold_rate": mean("fold_rate", rows),
-            "valid": mean("valid", rows),
-            "depth": mean("depth", rows),
-            "strain": mean("strain", [row for row in edges if "strain" in row]),
-            "seconds_per_edge": mean("seconds", edges),
+            **image_metrics(rows),
+            "strain": mean_of(edges, "strain"),
+            "seconds_per_edge": mean_of(edges, "seconds"),
             "rejected": sum(not row["accepted"] for row in edges),
         }
-
-
-def _met(at: SurfacePoints, image: Mesh, mesh: Mesh, faces: np.ndarray) -> Correspondence:
-    """Points of the shared surface's image as points of the mesh itself."""
-    positions = at.on(image.vertices, image.faces)
-    normals = at.on(image.vertex_normals, image.faces)
-    return correspondence(closest_agreeing(positions, normals, mesh), mesh, faces)
