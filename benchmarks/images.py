@@ -58,16 +58,16 @@ def error(
 ) -> float:
     """Mean error of the correspondences that the images imply."""
     meshes = {id: normalize(collection.mesh(id)) for id in images}
-    truths = {id: collection.ground_truth(id) for id in images}
+    known = {id: collection.ground_truth(id) for id in images}
+    truths = {id: truth for id, truth in known.items() if truth is not None}
     places, found = {}, {}
     for id, truth in truths.items():
-        assert truth is not None
         places[id] = truth.at.on(meshes[id].vertices, meshes[id].faces)
         found[id] = ClosestPointTree(Mesh(images[id], faces)).query(places[id]).at
     errors = []
-    for a in images:
-        for b in images:
-            rows, others = common_points(truths[a], truths[b])  # type: ignore[arg-type]
+    for a in truths:
+        for b in truths:
+            rows, others = common_points(truths[a], truths[b])
             if a != b and len(rows):
                 carried = found[a].take(rows).on(images[b], faces)
                 gap = np.linalg.norm(carried - places[b][others], axis=1).mean()
@@ -79,8 +79,7 @@ def settled(
     task: RegisterPair, root: Mesh, starts: Mapping[str, np.ndarray], stiffest: float
 ) -> dict[str, np.ndarray]:
     """The root registered to every input from where a tree led."""
-    soft = tuple(step for step in task.settings.schedule if step[0] <= stiffest)
-    one = partial(register, root, settings=replace(task.settings, schedule=soft))
+    one = partial(register, root, settings=replace(task, settle_from=stiffest).softened)
     calls = (
         joblib.delayed(one)([task.shape(id).mesh], start=start) for id, start in starts.items()
     )
@@ -96,7 +95,14 @@ def main() -> None:
     chosen = parser.parse_args()
     settings = RegistrationSettings(schedule=PATIENT)
     task = RegisterPair(
-        chosen.augment, chosen.implicit, chosen.correspond, 0, 0, settings, Acceptance()
+        augment=chosen.augment,
+        implicit=chosen.implicit,
+        folder=chosen.correspond,
+        neighbours=0,
+        guides=0,
+        settings=settings,
+        acceptance=Acceptance(),
+        settle_from=STIFFEST[0],
     )
     stage = PairedStage(task=task, level=4, folder=chosen.correspond)
     collection = ShapeCollection.from_folder(chosen.collection)

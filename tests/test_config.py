@@ -16,6 +16,8 @@ from hydra.errors import ConfigCompositionException
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, OmegaConf
 
+from gensp.geometry.guided_registration import PATIENT
+
 CONF = ROOT / "conf"
 
 
@@ -137,6 +139,12 @@ def test_recipes_have_the_same_keys() -> None:
     assert set(recipes) == {"paper", "quick", "cpu", "cpu_humans", "smoke"}
     for name, keys in recipes.items():
         assert keys == recipes["paper"], name
+
+
+def test_the_patient_schedule_is_that_of_the_recipes() -> None:
+    for recipe in ("paper", "quick", "cpu"):
+        schedule = composed(f"recipe={recipe}").recipe.correspond.paired_schedule
+        assert tuple(map(tuple, schedule)) == PATIENT
 
 
 @pytest.mark.parametrize("experiment", choices("experiment"))

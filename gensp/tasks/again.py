@@ -16,9 +16,9 @@ from gensp.files import load_npz, save_npz
 from gensp.geometry.common_source import low_rank, placed
 from gensp.geometry.correspondence import Correspondence
 from gensp.geometry.mesh import Mesh
-from gensp.geometry.registration import Registration, register
+from gensp.geometry.registration import register
 from gensp.geometry.sphere import icosphere_of
-from gensp.tasks.correspond import RegisterEdge
+from gensp.tasks.correspond import RegisterEdge, judged
 
 SOURCES = "sources.npz"
 
@@ -96,7 +96,7 @@ class RegisterAgain:
         except RegistrationFailed as error:
             row["complaints"] = str(error)
         else:
-            row |= self._judged(found)
+            row |= judged(found, self.task.acceptance)
             save_npz(self._path(id), registered=found.vertices)
         return row | {"seconds": round(time.perf_counter() - start, 3)}
 
@@ -104,16 +104,6 @@ class RegisterAgain:
         """The icosphere's vertices on a shape, as this round registered them."""
         registered = load_npz(self._path(id))["registered"]
         return placed(registered, icosphere_of(len(registered)).faces, self.task.mesh(id))
-
-    def _judged(self, found: Registration) -> Row:
-        complaint = self.task.acceptance.complaint(found)
-        return {
-            "kept": complaint == "",
-            "residual": found.residual,
-            "coverage": found.coverage,
-            "fold_rate": found.fold_rate,
-            "complaints": complaint,
-        }
 
     def _path(self, id: str) -> Path:
         return self.folder / "images" / f"{id}.npz"

@@ -20,6 +20,7 @@ from gensp.geometry.mesh import Mesh
 from gensp.geometry.registration import (
     Acceptance,
     Attempts,
+    Registration,
     RegistrationSettings,
     register_with_retries,
 )
@@ -188,6 +189,18 @@ def _diagnostics(attempts: Attempts) -> Row:
         **numbers,
         "attempts": len(attempts.complaints),
         "complaints": "; ".join(text for text in attempts.complaints if text),
+    }
+
+
+def judged(found: Registration, acceptance: Acceptance) -> Row:
+    """Whether a further registration of a source that all share is kept, and by which figures."""
+    complaint = acceptance.complaint(found)
+    return {
+        "kept": complaint == "",
+        "residual": found.residual,
+        "coverage": found.coverage,
+        "fold_rate": found.fold_rate,
+        "complaints": complaint,
     }
 
 

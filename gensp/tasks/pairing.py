@@ -51,7 +51,7 @@ class RegisterPair:
     guides: int
     settings: RegistrationSettings
     acceptance: Acceptance
-    settle_from: float = 30.0
+    settle_from: float
 
     @cached_property
     def ids(self) -> tuple[str, ...]:

@@ -14,7 +14,8 @@ from gensp.compute import Row
 from gensp.errors import RegistrationFailed
 from gensp.files import load_npz, save_npz
 from gensp.geometry.mesh import Mesh
-from gensp.geometry.registration import Registration, register
+from gensp.geometry.registration import register
+from gensp.tasks.correspond import judged
 from gensp.tasks.pairing import RegisterPair
 
 STARTS = "starts.npz"
@@ -76,21 +77,10 @@ class Settle:
         except RegistrationFailed as error:
             row["complaints"] = str(error)
         else:
-            row |= self._judged(found)
+            row |= judged(found, self.task.acceptance) | {"strain": found.strain}
             vertices = found.vertices if row["kept"] else start
         save_npz(self._path(id), vertices=vertices)
         return row | {"seconds": round(time.perf_counter() - began, 3)}
-
-    def _judged(self, found: Registration) -> Row:
-        complaint = self.task.acceptance.complaint(found)
-        return {
-            "kept": complaint == "",
-            "strain": found.strain,
-            "residual": found.residual,
-            "coverage": found.coverage,
-            "fold_rate": found.fold_rate,
-            "complaints": complaint,
-        }
 
     def image(self, id: str) -> Float[np.ndarray, "n 3"]:
         """The root's vertices on an input."""

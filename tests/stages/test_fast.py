@@ -19,12 +19,16 @@ def test_one_batch(stage: str, smoke: Path) -> None:
 
 
 METHODS = ("cmcf", "cmcf_raw", "dirichlet", "stretch", "ahsp", "arap", "vc25")
-OPTIONS = ("fit=register", "refine=none", "refine=certify")
+OPTIONS = ("fit=register", "fit=guided", "refine=none", "refine=certify")
 
 
 @pytest.mark.parametrize("word", [*OPTIONS, *(f"method={name}" for name in METHODS)])
 def test_one_map(word: str, smoke: Path) -> None:
     run_here(*smoke_words(smoke), "stage=parameterize", "debug=fast", word)
+
+
+def test_one_pair(smoke: Path) -> None:
+    run_here(*smoke_words(smoke), "stage=correspond", "correspond=paired", "debug=fast")
 
 
 @pytest.mark.parametrize("generator", ["direct", "flow"])
