@@ -3,6 +3,8 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
+# Processes that share the modules of the tests.
+PROCESSES ?= 2
 SOURCES := gensp conf tests benchmarks examples train.py
 
 # One thread each: the tests and the item workers use processes.
@@ -14,7 +16,7 @@ quickstart: install
 	$(BIN)/python train.py experiment=quickstart
 
 test: lint
-	$(ONE_THREAD) $(BIN)/python -m pytest
+	$(ONE_THREAD) $(BIN)/python -m pytest -n $(PROCESSES) --dist loadscope --no-loadscope-reorder
 
 lint: install
 	$(BIN)/ruff check $(SOURCES)

@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 from hydra import compose, initialize_config_dir
 
 ROOT = Path(__file__).parents[1]
@@ -88,13 +89,27 @@ def smoke_words(runs: Path) -> list[str]:
 @pytest.fixture(scope="session")
 def smoke(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The runs folder of `experiment=smoke`, all stages; to be read only."""
-    runs = tmp_path_factory.mktemp("smoke") / "runs"
-    done = train(*smoke_words(runs))
-    (runs / "output.txt").write_text(done.stdout)
+    folder = shared_folder(tmp_path_factory)
+    runs = folder / "smoke" / "runs"
+    with FileLock(folder / "smoke.lock"):
+        if not (runs / "output.txt").is_file():
+            done = train(*smoke_words(runs))
+            (runs / "output.txt").write_text(done.stdout)
     return runs
+
+
+def shared_folder(factory: pytest.TempPathFactory) -> Path:
+    """The temporary folder that all processes of one run of the tests see."""
+    own = factory.getbasetemp()
+    return own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
 
 
 @pytest.fixture
 def smoke_copy(smoke: Path, tmp_path: Path) -> Path:
     """A copy of the smoke runs, to be changed."""
-    return Path(shutil.copytree(smoke, tmp_path / "runs"))
+    return copied(smoke, tmp_path / "runs")
+
+
+def copied(runs: Path, to: Path) -> Path:
+    """A copy without the halves of files that another process may be writing."""
+    return Path(shutil.copytree(runs, to, ignore=shutil.ignore_patterns(".*")))

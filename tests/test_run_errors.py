@@ -174,6 +174,7 @@ def test_place_that_cannot_be_written(tmp_path: Path) -> None:
 
 
 # The first limit stops the results, the second already what the logger writes.
+@pytest.mark.slow
 @pytest.mark.parametrize("limit", [20_000, 1_500])
 @pytest.mark.parametrize("logger", ["none", "csv"])
 @pytest.mark.parametrize("stage", ["augment", "implicit"])
@@ -181,7 +182,8 @@ def test_full_disk(stage: str, logger: str, limit: int, smoke_copy: Path) -> Non
     """A limit on the size of files stands in for the disk."""
     folder = smoke_copy / "smoke" / "full" / stage
     shutil.rmtree(folder)
-    words = (*smoke_words(smoke_copy), f"stage={stage}", "workers.jobs=1", f"logger={logger}")
+    few = ("workers.jobs=1", "recipe.implicit.epochs=4")
+    words = (*smoke_words(smoke_copy), f"stage={stage}", *few, f"logger={logger}")
     done = subprocess.run(
         command(*words),
         cwd=ROOT,

@@ -9,7 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import ROOT, begun, environment, kill_in_the_middle, run_here, smoke_words, train
+from commands import (
+    ROOT,
+    begun,
+    copied,
+    environment,
+    kill_in_the_middle,
+    run_here,
+    smoke_words,
+    train,
+)
 from compare import different
 
 from gensp.errors import Unsupported
@@ -17,12 +26,15 @@ from gensp.errors import Unsupported
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize("stage", ["augment", "correspond", "evaluate"])
-def test_items_are_shared_out(stage: str, smoke: Path, smoke_copy: Path) -> None:
-    folder = smoke_copy / "smoke" / "full" / stage
-    shutil.rmtree(folder)
-    train(*smoke_words(smoke_copy), f"stage={stage}", "trainer=ddp_cpu", "workers.jobs=2")
-    assert different(folder, smoke / "smoke" / "full" / stage) == []
+def test_items_are_shared_out(smoke: Path, smoke_copy: Path) -> None:
+    shutil.rmtree(smoke_copy / "smoke" / "full" / "correspond")
+    train(*smoke_words(smoke_copy), "stage=correspond", "trainer=ddp_cpu", "workers.jobs=2")
+    assert_shared_out("correspond", smoke_copy, smoke)
+
+
+def assert_shared_out(stage: str, runs: Path, alone: Path) -> None:
+    folder = runs / "smoke" / "full" / stage
+    assert different(folder, alone / "smoke" / "full" / stage) == []
     assert json.loads((folder / "manifest.json").read_text())["ranks"] == 2
 
 
@@ -46,28 +58,36 @@ def short_words(stage: str, runs: Path) -> tuple[str, ...]:
     return (*smoke_words(runs), f"stage={stage}", *recipe, "callbacks.last.every_seconds=0")
 
 
-@pytest.mark.parametrize("stage", list(SHORT))
-def test_two_ranks_train_as_one_does(stage: str, smoke_copy: Path, tmp_path: Path) -> None:
-    folder = smoke_copy / "smoke" / "full" / stage
-    words = short_words(stage, smoke_copy)
-    run_here(*words, "force=true")
-    alone = losses(folder)
-    train(*words, "trainer=ddp_cpu", "force=true")
+@pytest.fixture(scope="module")
+def trained(
+    request: pytest.FixtureRequest, smoke: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[str, Path]:
+    """A stage and its folder after two ranks trained it."""
+    runs = copied(smoke, tmp_path_factory.mktemp("trained") / "runs")
+    train(*short_words(request.param, runs), "trainer=ddp_cpu", "force=true")
+    return request.param, runs / "smoke" / "full" / request.param
+
+
+@pytest.mark.parametrize("trained", list(SHORT), indirect=True)
+def test_two_ranks_train_as_one_does(trained: tuple[str, Path], smoke_copy: Path) -> None:
+    stage, folder = trained
     together = losses(folder)
+    run_here(*short_words(stage, smoke_copy), "force=true")
+    alone = losses(smoke_copy / "smoke" / "full" / stage)
     assert alone.keys() == together.keys()
     assert stage != "implicit" or np.isfinite(alone["train/deformation"][1:]).all()
     for name, expected in alone.items():
         np.testing.assert_allclose(together[name], expected, rtol=0, atol=1e-6, err_msg=name)
 
 
-@pytest.mark.parametrize("stage", ["implicit", "finetune"])
+@pytest.mark.parametrize("trained", ["implicit", "finetune"], indirect=True)
 def test_two_ranks_that_were_killed_go_on_to_the_same_bits(
-    stage: str, smoke_copy: Path, tmp_path: Path
+    trained: tuple[str, Path], smoke_copy: Path
 ) -> None:
-    folder, whole = smoke_copy / "smoke" / "full" / stage, tmp_path / "whole"
+    stage, whole = trained
+    folder = smoke_copy / "smoke" / "full" / stage
+    shutil.rmtree(folder)
     words = (*short_words(stage, smoke_copy), "trainer=ddp_cpu")
-    train(*words, "force=true")
-    shutil.move(folder, whole)
     kill_in_the_middle(folder, *words)
     assert begun(folder)
     assert not (folder / "manifest.json").exists(), "killed too late to be of use"
@@ -80,12 +100,18 @@ def test_whole_pipeline_needs_an_outer_launcher(tmp_path: Path) -> None:
         run_here(*smoke_words(tmp_path), "trainer=ddp_cpu")
 
 
-def test_torchrun_walks_stages_in_step(smoke: Path, tmp_path: Path) -> None:
-    words = smoke_words(tmp_path)
-    pipeline = "pipeline=[['stage=augment'],['stage=implicit']]"
+def test_torchrun_walks_stages_in_step(smoke: Path, smoke_copy: Path) -> None:
+    anew = ("augment", "correspond", "evaluate")
+    run = smoke_copy / "smoke" / "full"
+    for stage in anew:
+        shutil.rmtree(run / stage)
+    short = "['stage=implicit','force=true','recipe.implicit.epochs=4']"
+    items = [f"['stage={stage}']" for stage in anew]
+    pipeline = f"pipeline=[{','.join(items)},{short}]"
     launcher = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    words = (*smoke_words(smoke_copy), "trainer=ddp_cpu", pipeline)
     done = subprocess.run(
-        [sys.executable, *launcher, "train.py", *words, "trainer=ddp_cpu", pipeline],
+        [sys.executable, *launcher, "train.py", *words],
         cwd=ROOT,
         env=environment(),
         capture_output=True,
@@ -93,7 +119,7 @@ def test_torchrun_walks_stages_in_step(smoke: Path, tmp_path: Path) -> None:
         timeout=300,
     )
     assert done.returncode == 0, done.stderr[-4000:]
-    made = tmp_path / "smoke" / "full"
-    assert different(made / "augment", smoke / "smoke" / "full" / "augment") == []
-    assert (made / "implicit" / "manifest.json").is_file()
+    for stage in anew:
+        assert_shared_out(stage, smoke_copy, smoke)
+    assert len(losses(run / "implicit")["train/data"]) == 4
     assert done.stdout.count("] implicit") == 1

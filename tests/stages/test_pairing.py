@@ -1,3 +1,5 @@
+import shutil
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -51,10 +53,11 @@ SHAPES["turned"] = SHAPES["a"].with_vertices(TURN.apply(SHAPES["b"].vertices))
 CODES = {"sphere": 0.0, "a": 1.0, "a@0": 0.5, "b": 1.2, "c": 1.3, "turned": 3.0}
 
 
-@pytest.fixture
-def inputs(tmp_path: Path) -> dict[str, Run]:
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Run]:
     """What augment and implicit leave; "turned" looks the other way and has a far code."""
-    augment, implicit = tmp_path / "augment", tmp_path / "implicit"
+    runs = tmp_path_factory.mktemp("inputs")
+    augment, implicit = runs / "augment", runs / "implicit"
     for id, mesh in SHAPES.items():
         save_npz(item_path(augment, id), vertices=mesh.vertices, faces=mesh.faces)
     codes = np.array([[code, 0.0] for code in CODES.values()], dtype=np.float32)
@@ -69,9 +72,21 @@ def run(inputs: dict[str, Run], folder: Path, **changes: object) -> PairedStage:
     return PairedStage.from_runs(inputs, folder, task=task, level=4, workers=SERIAL)
 
 
-def test_every_input_is_reached_and_corresponds(inputs: dict[str, Run], tmp_path: Path) -> None:
-    folder = tmp_path / "correspond"
-    metrics = run(inputs, folder).finish()
+@dataclass(frozen=True)
+class Finished:
+    folder: Path
+    metrics: dict[str, float]
+
+
+@pytest.fixture(scope="module")
+def finished(inputs: dict[str, Run], tmp_path_factory: pytest.TempPathFactory) -> Finished:
+    """The stage with its default settings; to be read only."""
+    folder = tmp_path_factory.mktemp("finished") / "correspond"
+    return Finished(folder, run(inputs, folder).finish())
+
+
+def test_every_input_is_reached_and_corresponds(finished: Finished) -> None:
+    folder, metrics = finished.folder, finished.metrics
     assert metrics["lost"] == metrics["rejected"] == 0
     assert {row["id"] for row in read_table(folder / "shapes.csv")} == set(SHAPES)
     points = {id: load_npz(folder / "correspondences" / f"{id}.npz")["points"] for id in SHAPES}
@@ -85,26 +100,23 @@ def test_every_input_is_reached_and_corresponds(inputs: dict[str, Run], tmp_path
         assert gap.mean() < 0.06, id
 
 
-def test_the_tree_is_written_as_the_other_kind(inputs: dict[str, Run], tmp_path: Path) -> None:
-    folder = tmp_path / "correspond"
-    run(inputs, folder).finish()
-    tree = read_json(folder / "tree.json")
+def test_the_tree_is_written_as_the_other_kind(finished: Finished) -> None:
+    tree = read_json(finished.folder / "tree.json")
     assert tree["ids"] == ["sphere", *SHAPES]
     assert tree["parent"][0] == -1
     assert tree["parent"].count(0) == 1
     assert all(tree["used"])
-    pairs = {frozenset(row["id"].split("/")) for row in read_table(folder / "edges.csv")}
+    rows = read_table(finished.folder / "edges.csv")
+    pairs = {frozenset(row["id"].split("/")) for row in rows}
     ids = tree["ids"]
     for child, parent in zip(ids[1:], tree["parent"][1:], strict=True):
         assert parent == 0 or frozenset({child, ids[parent]}) in pairs
 
 
 def test_the_shared_surface_is_bijective_and_becomes_the_models_atlas(
-    inputs: dict[str, Run], tmp_path: Path
+    finished: Finished,
 ) -> None:
-    folder = tmp_path / "correspond"
-    run(inputs, folder).finish()
-    shared = load_npz(folder / SHARED)
+    shared = load_npz(finished.folder / SHARED)
     assert certify(shared["sphere"], shared["faces"]).bijective
     for id, image in zip(shared["ids"], shared["images"], strict=True):
         assert closest_point(image, SHAPES[str(id)]).distance.mean() < 0.03
@@ -114,13 +126,13 @@ def test_the_shared_surface_is_bijective_and_becomes_the_models_atlas(
 
 
 def test_a_second_run_repeats_nothing_and_ends_alike(
-    inputs: dict[str, Run], tmp_path: Path
+    inputs: dict[str, Run], finished: Finished, tmp_path: Path
 ) -> None:
     folder = tmp_path / "correspond"
-    first = run(inputs, folder).finish()
+    shutil.copytree(finished.folder, folder)
     times = {path: path.stat().st_mtime_ns for path in folder.glob("edges/*/*.npz")}
     assert times
-    assert run(inputs, folder).finish() == first
+    assert run(inputs, folder).finish() == finished.metrics
     assert times == {path: path.stat().st_mtime_ns for path in folder.glob("edges/*/*.npz")}
 
 
