@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gensp.data.ground_truth import GroundTruth, ground_truth
-from gensp.errors import MissingData
+from gensp.errors import DamagedFile, MissingData
 from gensp.files import read_json
 from gensp.geometry.distance import closest_point
 from gensp.geometry.mesh import Mesh
@@ -34,7 +34,7 @@ def load_keypoint_records(path: Path | str) -> dict[str, Record]:
     """
     try:
         return {_model(record): record for record in read_json(path)}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, DamagedFile, ValueError, KeyError, TypeError, AttributeError) as error:
         raise MissingData(
             f"{path}: is no list of keypoint records ({type(error).__name__}: {error}); model_id "
             "and keypoints with xyz, semantic_id and mesh_info are required; replace the file"

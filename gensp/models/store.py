@@ -8,8 +8,8 @@ from typing import Any
 
 import torch
 
-from gensp.errors import MissingStage, Unsupported
-from gensp.files import atomic_path
+from gensp.errors import DamagedFile, MissingStage, Unsupported
+from gensp.files import atomic_path, require_whole_archive
 from gensp.models.atlas import Atlas
 from gensp.models.encoder import PointNet2Encoder
 from gensp.models.generator import AnchoredGenerator, DirectGenerator, FlowGenerator
@@ -66,8 +66,11 @@ def load_model(path: Path | str) -> dict[str, Network]:
             "run python train.py stage=finetune"
         )
     try:
+        require_whole_archive(path)  # torch itself compares no checksums
         content = torch.load(path, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError) as error:
+    except DamagedFile as error:
+        raise Unsupported(f"{error}; or write it anew with stage=finetune") from error
+    except (pickle.UnpicklingError, RuntimeError, ValueError, EOFError) as error:
         raise Unsupported(_foreign(path, "not plain tensors and numbers")) from error
     if not isinstance(content, Mapping):
         raise Unsupported(_foreign(path, f"a {type(content).__name__}"))

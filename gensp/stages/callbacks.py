@@ -1,6 +1,7 @@
 """What accompanies a stage: its progress, the point from which it resumes."""
 
 import io
+import pickle
 import time
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,8 @@ from lightning.pytorch.plugins.io import TorchCheckpointIO
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
 
-from gensp.files import atomic_path
+from gensp.errors import DamagedFile
+from gensp.files import atomic_path, require_whole_archive
 from gensp.runs import CHECKPOINT
 
 
@@ -53,6 +55,28 @@ class WholeCheckpoints(TorchCheckpointIO):
         torch.save(checkpoint, data)
         with atomic_path(path) as temporary:
             temporary.write_bytes(data.getbuffer())
+
+    def load_checkpoint(
+        self,
+        path: str | Path,
+        map_location: Any = lambda storage, location: storage,
+        weights_only: bool | None = True,
+    ) -> dict[str, Any]:
+        """Read plain tensors and numbers, after their checksums: torch itself compares none.
+
+        Raises
+        ------
+        DamagedFile
+            The file is not what was written.
+        """
+        try:
+            require_whole_archive(path)
+            return torch.load(path, map_location=map_location, weights_only=True)
+        except (DamagedFile, pickle.UnpicklingError, RuntimeError, ValueError, EOFError) as error:
+            raise DamagedFile(
+                f"{path}: is damaged ({' '.join(str(error).split())[:120]}); a whole checkpoint "
+                "is required to go on; remove it to train from the start, or restore it"
+            ) from error
 
 
 class StageProgress(ProgressBar):
