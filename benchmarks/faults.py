@@ -107,12 +107,13 @@ def kills_of(study: Study, stage: str, count: int) -> list[Kill]:
     waiting: list[Kill] = []
     for attempt in range(_ATTEMPTS * count):
         # Imports leave nothing that could be spoilt: few kills fall there.
-        moment = float(random.uniform(0.7 * (whole - working), whole))
+        moment = float(random.uniform(0.9 * (whole - working), whole))
         found = study.kill(stage, moment, jobs=1 + attempt % 2)
         if found == "finished":  # too late: what was killed before is compared, then anew
             kills += [_compared(study, kill) for kill in waiting]
             waiting.clear()
             shutil.rmtree(study.folder("killed", stage))
+            whole = max(0.8 * whole, working)  # the machine is less busy than before
             continue
         waiting.append(Kill(stage, round(moment, 2), round(whole, 2), found))
         _SAY.print(f"{stage}: killed after {moment:.1f} s of {whole:.1f} s, left {found}")
