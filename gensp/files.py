@@ -8,11 +8,10 @@ import math
 import os
 import tempfile
 import zipfile
-import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.lib import format as npy
@@ -20,7 +19,6 @@ from numpy.lib import format as npy
 from gensp.errors import DamagedFile, OutputError
 
 _LARGEST_ARRAYS = 2**31  # bytes of an npz when unpacked; a damaged or hostile file may claim more
-_BROKEN_ARCHIVE = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError)
 
 
 @contextmanager
@@ -138,15 +136,21 @@ def load_npz(path: Path | str) -> dict[str, np.ndarray]:
     DamagedFile
         It is no npz of plain arrays, or would need more than 2 GiB.
     """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            members = [entry for entry in archive.infolist() if entry.filename.endswith(".npy")]
-            if sum(entry.file_size for entry in members) > _LARGEST_ARRAYS:
-                raise ValueError("more than 2 GiB of arrays")
-            # One after the other, each with its checksum: no array is made of unchecked bytes.
-            return {entry.filename[:-4]: _array(archive.read(entry)) for entry in members}
-    except (ValueError, *_BROKEN_ARCHIVE) as error:
-        raise DamagedFile(_damaged(path, "npz", error)) from error
+    with open(path, "rb") as file:
+        try:
+            return _arrays(file)
+        # Parsers of damaged files raise whatever they meet; the file is at fault in each case.
+        except Exception as error:
+            raise DamagedFile(_damaged(path, "npz", error)) from error
+
+
+def _arrays(file: BinaryIO) -> dict[str, np.ndarray]:
+    with zipfile.ZipFile(file) as archive:
+        members = [entry for entry in archive.infolist() if entry.filename.endswith(".npy")]
+        if sum(entry.file_size for entry in members) > _LARGEST_ARRAYS:
+            raise ValueError("more than 2 GiB of arrays")
+        # Every member with its checksum: no array is made of unchecked bytes.
+        return {entry.filename[:-4]: _array(archive.read(entry)) for entry in members}
 
 
 def _array(data: bytes) -> np.ndarray:
@@ -166,20 +170,24 @@ def _array(data: bytes) -> np.ndarray:
 
 
 def require_whole_archive(path: Path | str) -> None:
-    """Check the checksums of an archive (npz, model.pt, checkpoint).
+    """Check the checksums of an archive of torch (model.pt, checkpoint), which torch does not.
 
     Raises
     ------
     DamagedFile
-        It is no archive, or a byte of its content is not what was written.
+        It is no such archive, a byte of its content is not what was written, or it would unpack
+        to more than its own size.
     """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            spoilt = archive.testzip()
-    except (ValueError, *_BROKEN_ARCHIVE) as error:
-        raise DamagedFile(_damaged(path, "archive", error)) from error
+    with open(path, "rb") as file:
+        try:
+            with zipfile.ZipFile(file) as archive:
+                unpacked = sum(entry.file_size for entry in archive.infolist())
+                spoilt = archive.testzip() if unpacked <= os.fstat(file.fileno()).st_size else ""
+        except Exception as error:
+            raise DamagedFile(_damaged(path, "archive", error)) from error
     if spoilt is not None:
-        raise DamagedFile(_damaged(path, "archive", f"{spoilt} was changed"))
+        found = f"{spoilt} was changed" if spoilt else f"{unpacked} bytes when unpacked"
+        raise DamagedFile(_damaged(path, "archive", found))
 
 
 def _damaged(path: Path | str, kind: str, found: object) -> str:

@@ -1,7 +1,6 @@
 """What accompanies a stage: its progress, the point from which it resumes."""
 
 import io
-import pickle
 import time
 from pathlib import Path
 from typing import Any
@@ -72,7 +71,8 @@ class WholeCheckpoints(TorchCheckpointIO):
         try:
             require_whole_archive(path)
             return torch.load(path, map_location=map_location, weights_only=True)
-        except (DamagedFile, pickle.UnpicklingError, RuntimeError, ValueError, EOFError) as error:
+        # Unpicklers raise whatever they meet; the file is at fault in each case.
+        except Exception as error:
             raise DamagedFile(
                 f"{path}: is damaged ({' '.join(str(error).split())[:120]}); a whole checkpoint "
                 "is required to go on; remove it to train from the start, or restore it"
