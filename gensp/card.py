@@ -1,6 +1,5 @@
 """The data card of a collection: what is in it, on one page with one picture."""
 
-import csv
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ from gensp.data.folder import SPLITS, Shape, list_meshes, read_manifest
 from gensp.data.ground_truth import load_ground_truth
 from gensp.data.keypoints import load_keypoint_records
 from gensp.errors import MissingData
-from gensp.files import atomic_path, write_text
+from gensp.files import atomic_path, read_rows, write_text
 from gensp.geometry.mesh import Mesh, load_mesh
 from gensp.tables import markdown_table
 
@@ -181,8 +180,7 @@ def _reasons(folder: Path) -> list[tuple[str, ...]]:
 def _rows(path: Path) -> list[dict[str, str]]:
     if not path.is_file():
         return []
-    with open(path, encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
+    return read_rows(path)
 
 
 def _section(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gensp.errors import MissingData, Unsupported
+from gensp.errors import DamagedFile, MissingData, Unsupported
 from gensp.files import read_json, write_text
 from gensp.runs import MANIFEST
 from gensp.tables import markdown_table
@@ -102,7 +102,7 @@ def _entry(path: Path, root: Path) -> Entry:
     try:
         manifest = read_json(path)
         lacking = _NEEDED - manifest.keys()
-    except (OSError, ValueError, AttributeError) as error:
+    except (OSError, DamagedFile, AttributeError) as error:
         raise MissingData(_damaged(path, f"cannot be read ({type(error).__name__})")) from error
     if lacking:
         raise MissingData(_damaged(path, f"has no {min(lacking)}"))

@@ -10,12 +10,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 import joblib
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-from gensp.errors import GenSPError, OutputError
+from gensp.errors import DamagedFile, GenSPError, OutputError
 from gensp.files import read_json, write_json
 
 Row = dict[str, str | int | float | bool | None]
@@ -49,10 +50,13 @@ def stored_rows(folder: Path) -> list[Row]:
 
 
 def finished_row(folder: Path, item: str) -> Row | None:
-    """The stored row of an item, or None where it is missing or tells of a failure."""
+    """The stored row of an item, or None where it is missing, damaged or tells of a failure."""
     path = row_path(folder, item)
-    row: Row | None = read_json(path) if path.is_file() else None
-    return None if row is None or row.get("error") else row
+    try:
+        row: Any = read_json(path) if path.is_file() else None
+    except DamagedFile:
+        return None
+    return row if isinstance(row, dict) and not row.get("error") else None
 
 
 def run_items(

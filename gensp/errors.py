@@ -44,8 +44,20 @@ class StaleRun(GenSPError):
     """A run folder holds results of other settings."""
 
 
+class RunInUse(GenSPError):
+    """Another process works in the run folder."""
+
+
 class MissingData(GenSPError):
     """A collection's folder or file is not where the configuration says."""
+
+
+class DamagedFile(GenSPError):
+    """A file is not what was written: cut short, changed, or of another kind."""
+
+
+class TrainingDiverged(GenSPError):
+    """A loss or a weight is no longer a finite number."""
 
 
 class OutputError(GenSPError):

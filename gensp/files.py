@@ -1,17 +1,24 @@
 """Files that are whole or absent: everything is written beside its place and renamed onto it."""
 
+import csv
 import hashlib
+import io
 import json
+import math
 import os
 import tempfile
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.lib import format as npy
 
-from gensp.errors import OutputError
+from gensp.errors import DamagedFile, OutputError
+
+_LARGEST_ARRAYS = 2**31  # bytes of an npz when unpacked; a damaged or hostile file may claim more
 
 
 @contextmanager
@@ -74,8 +81,35 @@ def write_json(path: Path | str, value: Any) -> None:
 
 
 def read_json(path: Path | str) -> Any:
-    """Read a JSON file."""
-    return json.loads(Path(path).read_text(encoding="utf-8"))
+    """Read a JSON file.
+
+    Raises
+    ------
+    DamagedFile
+        It is no JSON.
+    """
+    try:
+        return json.loads(Path(path).read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise DamagedFile(_damaged(path, "JSON", error)) from error
+
+
+def read_rows(path: Path | str) -> list[dict[str, str]]:
+    """Rows of a table with commas, headed by the names of its columns; all values are texts.
+
+    Raises
+    ------
+    DamagedFile
+        It is no such table, or a row is longer than the head.
+    """
+    try:
+        with open(path, encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file, restval=""))
+    except (ValueError, csv.Error) as error:
+        raise DamagedFile(_damaged(path, "table", error)) from error
+    if any(None in row for row in rows):
+        raise DamagedFile(_damaged(path, "table", "a row longer than the head"))
+    return rows
 
 
 def _plain(value: Any) -> Any:
@@ -95,9 +129,73 @@ def save_npz(path: Path | str, **arrays: Any) -> None:
 
 
 def load_npz(path: Path | str) -> dict[str, np.ndarray]:
-    """Read all arrays of an npz; pickled objects are refused."""
-    with np.load(path, allow_pickle=False) as archive:
-        return {key: archive[key] for key in archive.files}
+    """Read all arrays of an npz; pickled objects are refused.
+
+    Raises
+    ------
+    DamagedFile
+        It is no npz of plain arrays, or would need more than 2 GiB.
+    """
+    with open(path, "rb") as file:
+        try:
+            return _arrays(file)
+        # Parsers of damaged files raise whatever they meet; the file is at fault in each case.
+        except Exception as error:
+            raise DamagedFile(_damaged(path, "npz", error)) from error
+
+
+def _arrays(file: BinaryIO) -> dict[str, np.ndarray]:
+    with zipfile.ZipFile(file) as archive:
+        members = [entry for entry in archive.infolist() if entry.filename.endswith(".npy")]
+        if sum(entry.file_size for entry in members) > _LARGEST_ARRAYS:
+            raise ValueError("more than 2 GiB of arrays")
+        # Every member with its checksum: no array is made of unchecked bytes.
+        return {entry.filename[:-4]: _array(archive.read(entry)) for entry in members}
+
+
+def _array(data: bytes) -> np.ndarray:
+    """An array from the content of a npy file, whose head must agree with its length."""
+    stream = io.BytesIO(data)
+    readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+    version = npy.read_magic(stream)
+    if version not in readers:
+        raise ValueError(f"npy of version {version}")
+    shape, fortran, dtype = readers[version](stream)
+    if dtype.hasobject:
+        raise ValueError("pickled objects")
+    content = bytearray(data[stream.tell() :])
+    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize != len(content):
+        raise ValueError(f"an array {shape} in {len(content)} bytes")
+    return np.ndarray(shape, dtype, content, order="F" if fortran else "C")
+
+
+def require_whole_archive(path: Path | str) -> None:
+    """Check the checksums of an archive of torch (model.pt, checkpoint), which torch does not.
+
+    Raises
+    ------
+    DamagedFile
+        It is no such archive, a byte of its content is not what was written, or it would unpack
+        to more than its own size.
+    """
+    with open(path, "rb") as file:
+        try:
+            with zipfile.ZipFile(file) as archive:
+                unpacked = sum(entry.file_size for entry in archive.infolist())
+                spoilt = archive.testzip() if unpacked <= os.fstat(file.fileno()).st_size else ""
+        except Exception as error:
+            raise DamagedFile(_damaged(path, "archive", error)) from error
+    if spoilt is not None:
+        found = f"{spoilt} was changed" if spoilt else f"{unpacked} bytes when unpacked"
+        raise DamagedFile(_damaged(path, "archive", found))
+
+
+def _damaged(path: Path | str, kind: str, found: object) -> str:
+    reason = f"{type(found).__name__}: {found}" if isinstance(found, Exception) else str(found)
+    return (
+        f"{path}: is damaged ({' '.join(reason.split())[:120]}); a whole {kind} is required; "
+        "restore or remove the file"
+    )
 
 
 def content_hash(*values: Any) -> str:

@@ -11,10 +11,12 @@ from typing import Any
 from hydra import compose
 from omegaconf import DictConfig
 
+from gensp.checksums import require_intact
 from gensp.configuration import require_taken, require_values, runs_of, settings_of
 from gensp.data.raw import require_apart, require_rule
 from gensp.errors import OutputError, Unsupported
 from gensp.machine import first_process
+from gensp.occupancy import occupied
 from gensp.runs import Progress, Run, Runs, clear, require_own, restart, tidy
 from gensp.terminal import announce, say, show_methods, show_variants
 
@@ -90,7 +92,9 @@ def run_stage(cfg: DictConfig, overrides: Sequence[str] = (), place: str = "") -
     MissingStage
         A stage that it reads is not finished.
     StaleRun
-        Its folder holds results of other settings.
+        Its folder holds results of other settings, or what it reads was damaged since.
+    RunInUse
+        Another process works in its folder.
     OutputError
         Its folder cannot be written.
     """
@@ -113,17 +117,21 @@ def run_stage(cfg: DictConfig, overrides: Sequence[str] = (), place: str = "") -
 def _bring_to_end(
     cfg: DictConfig, folder: Path, runs: Runs, inputs: dict[str, Run], settings: dict[str, Any]
 ) -> float | None:
-    with _place(cfg, folder) as place:
+    if cfg.keep and not cfg.force and restart(folder, settings) is Progress.ALL:
+        say("      finished before, kept")
+        return Run(folder).headline
+    with _place(cfg, folder) as place, occupied(place):
         state = _prepare(cfg, place, settings)
-        if state is Progress.ALL:
-            say("      finished before, kept")
+        if state is Progress.ALL:  # by another process, since
             return Run(place).headline
         optional = {use: runs.find(use) for use in cfg.stage.get("optional", ())}
-        found = {use: run for use, run in optional.items() if run is not None}
+        read = inputs | {use: run for use, run in optional.items() if run is not None}
+        for stage, run in read.items():
+            require_intact(run.folder, run.manifest["files"], stage)
         # Imported late: what is wrong before is told without waiting for torch.
         from gensp.execution import execute
 
-        return execute(cfg, place, inputs | found, settings, state)
+        return execute(cfg, place, read, settings, state)
 
 
 @contextmanager

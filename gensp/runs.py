@@ -5,7 +5,6 @@ written last. `settings.json` is written first, so that an interrupted run can b
 run of other settings.
 """
 
-import hashlib
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,11 +13,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from gensp.errors import MissingStage, OutputError, StaleRun
+from gensp.checksums import MANIFEST, listing
+from gensp.errors import DamagedFile, MissingStage, OutputError, StaleRun
 from gensp.files import content_hash, read_json, write_json
 from gensp.machine import environment, peak_memory
 
-MANIFEST = "manifest.json"
 SETTINGS = "settings.json"
 CHECKPOINT = Path("checkpoints") / "last.ckpt"
 
@@ -35,8 +34,7 @@ class Run:
     @cached_property
     def manifest(self) -> dict[str, Any]:
         """What the stage left when it was sealed."""
-        manifest: dict[str, Any] = read_json(self.folder / MANIFEST)
-        return manifest
+        return _record(self.folder / MANIFEST, {"settings", "digest", "metrics", "files"})
 
     @property
     def complete(self) -> bool:
@@ -152,7 +150,7 @@ def restart(folder: Path, settings: Mapping[str, Any]) -> Progress:
     found = sealed if sealed.is_file() else folder / SETTINGS
     if not found.is_file():
         return Progress.NOTHING
-    stored, asked = dict(read_json(found)["settings"]), _plain(settings)
+    stored, asked = dict(_record(found, {"settings"})["settings"]), _plain(settings)
     before, now = stored.pop("inputs", None) or {}, asked.pop("inputs", None) or {}
     changed = differences(stored, asked)
     if changed:
@@ -171,6 +169,21 @@ def restart(folder: Path, settings: Mapping[str, Any]) -> Progress:
     return Progress.ALL if found is sealed else Progress.SOME
 
 
+def _record(path: Path, needed: set[str]) -> dict[str, Any]:
+    """A manifest, or the settings of a run that is not finished."""
+    found = read_json(path)
+    if not isinstance(found, dict) or needed - found.keys() or not _all_tables(found, needed):
+        raise DamagedFile(
+            f"{path}: is damaged (no {', '.join(sorted(needed))}); the record of a stage is "
+            "required; restore it, or make the stage anew with force=true"
+        )
+    return found
+
+
+def _all_tables(found: Mapping[str, Any], needed: set[str]) -> bool:
+    return all(isinstance(found[name], dict) for name in needed - {"digest"})
+
+
 def require_own(folder: Path, stage: str) -> None:
     """Refuse to write into a folder that holds something else than this stage's results.
 
@@ -181,8 +194,8 @@ def require_own(folder: Path, stage: str) -> None:
     """
     if folder.is_dir() and any(folder.iterdir()):
         notes = [path for path in (folder / MANIFEST, folder / SETTINGS) if path.is_file()]
-        found = read_json(notes[0])["settings"]["stage"]["name"] if notes else None
-        if found == stage:
+        found = _record(notes[0], {"settings"})["settings"] if notes else {}
+        if (found.get("stage") or {}).get("name") == stage:
             return
     elif not folder.exists() or folder.is_dir():
         return
@@ -205,10 +218,16 @@ def tidy(folder: Path) -> None:
 
 
 def clear(folder: Path) -> None:
-    """Remove a run; its seal first, so that a half-removed run never looks finished."""
+    """Empty a run's folder; its seal first, so that a half-removed run never looks finished.
+
+    The folder itself stays: whoever holds its lock keeps holding it.
+    """
     (folder / MANIFEST).unlink(missing_ok=True)
-    if folder.exists():
-        shutil.rmtree(folder)
+    for path in folder.iterdir() if folder.is_dir() else ():
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
 
 
 def seal(
@@ -275,23 +294,5 @@ def _plain(settings: Mapping[str, Any]) -> dict[str, Any]:
     return {str(name): plain(entry) for name, entry in settings.items()}
 
 
-def listing(folder: Path) -> dict[str, dict[str, Any]]:
-    """Size and SHA-256 of every file below a folder, the manifest and hidden files left out."""
-    paths = sorted(path for path in folder.rglob("*") if path.is_file())
-    kept = [path for path in paths if path.name != MANIFEST and not path.name.startswith(".")]
-    return {
-        path.relative_to(folder).as_posix(): {
-            "bytes": path.stat().st_size,
-            "sha256": _file_hash(path),
-        }
-        for path in kept
-    }
-
-
 def _is_result(name: str) -> bool:
     return not _ACCOUNTS & set(name.split("/")) and not name.endswith(".csv")
-
-
-def _file_hash(path: Path) -> str:
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

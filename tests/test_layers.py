@@ -25,7 +25,9 @@ ALLOWED = {
     "methods": CORE | {"geometry", "models", "data.clouds"},
     "pretrained": CORE | {"methods", "models"},
     "machine": set(),
-    "runs": CORE | {"machine"},
+    "checksums": CORE,
+    "runs": CORE | {"machine", "checksums"},
+    "occupancy": CORE | {"machine"},
     "tables": CORE,
     "pictures": CORE | {"geometry", "tables"},
 }

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from gensp.checksums import listing
 from gensp.errors import MissingStage, OutputError, StaleRun
 from gensp.files import write_json
 from gensp.runs import (
@@ -16,7 +17,6 @@ from gensp.runs import (
     begin,
     clear,
     differences,
-    listing,
     restart,
     seal,
 )

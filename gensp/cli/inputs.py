@@ -1,13 +1,12 @@
 """What the commands read: sound meshes, maps, methods."""
 
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from gensp.cli.terminal import compile_announced, progress
-from gensp.errors import NotGenusZero, UnreadableMesh, Unsupported
+from gensp.errors import DamagedFile, NotGenusZero, UnreadableMesh, Unsupported
 from gensp.files import load_npz
 from gensp.geometry.diagnosis import diagnose, repair_command
 from gensp.geometry.mesh import Mesh, load_mesh
@@ -53,7 +52,7 @@ def read_map(path: Path) -> SphericalMap:
         )
     try:
         arrays = load_npz(path)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except (OSError, DamagedFile) as error:
         raise UnreadableMesh(
             f"{path}: cannot be read ({type(error).__name__}); an npz with vertices, faces and "
             "sphere is required; write it with gensp parameterize"

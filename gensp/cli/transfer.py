@@ -1,6 +1,5 @@
 """The work of `gensp transfer`: what is read, carried and written."""
 
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -8,11 +7,11 @@ import numpy as np
 import trimesh
 
 from gensp.cli.pairs import Pair
-from gensp.errors import MissingData, UnreadableMesh, Unsupported
+from gensp.errors import DamagedFile, MissingData, UnreadableMesh, Unsupported
 from gensp.export.baking import baked_picture, read_textured
 from gensp.export.polygons import write_ply
 from gensp.export.textured import write_textured
-from gensp.files import save_npz
+from gensp.files import load_npz, save_npz
 from gensp.geometry.transfer import transfer
 
 
@@ -59,16 +58,16 @@ def _read(attribute: str) -> tuple[str, np.ndarray]:
             "required; correct --attribute"
         )
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            if name in archive.files:
-                return name, archive[name]
-            names = ", ".join(archive.files)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        arrays = load_npz(path)
+    except (OSError, DamagedFile) as error:
         raise UnreadableMesh(
             f"{path}: cannot be read ({type(error).__name__}); an npz of plain arrays is "
             "required; write it again"
         ) from error
-    raise MissingData(f"{path}: has no array '{name}'; it has {names}; name one of them")
+    if name not in arrays:
+        there = ", ".join(arrays)
+        raise MissingData(f"{path}: has no array '{name}'; it has {there}; name one of them")
+    return name, arrays[name]
 
 
 def _colours(path: Path) -> np.ndarray:

@@ -17,7 +17,7 @@ from jaxtyping import Int
 from gensp.data.ground_truth import GroundTruth
 from gensp.data.keypoints import Record
 from gensp.data.raw import require_preparing
-from gensp.errors import MissingData, UnreadableMesh, Unsupported
+from gensp.errors import GenSPError, MissingData, UnreadableMesh, Unsupported
 from gensp.files import content_hash
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.points import SurfacePoints
@@ -220,7 +220,10 @@ def _opened(path: Path) -> Iterator[Any]:
     try:
         with h5py.File(path, "r") as file:
             yield file
-    except (OSError, RuntimeError, KeyError, ValueError) as error:
+    except GenSPError:
+        raise
+    # The reader of a damaged file raises whatever it met; the file is at fault in each case.
+    except Exception as error:
         raise UnreadableMesh(
             f"{path}: cannot be read ({type(error).__name__}: {str(error)[:80]}); a whole HDF5 "
             "file of registrations is required; download it again"

@@ -1,12 +1,12 @@
 """What a folder of meshes holds: its manifest, or every mesh file, and their splits."""
 
-import csv
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from gensp.errors import MissingData, Unsupported
+from gensp.files import read_rows
 from gensp.geometry.mesh import FORMATS
 
 SPLITS = ("train", "val", "test")
@@ -38,8 +38,7 @@ def read_manifest(root: Path) -> list[Shape]:
         It has no rows or no column "file", or names an unknown split.
     """
     path = root / "manifest.csv"
-    with open(path, newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = read_rows(path)
     if not rows or "file" not in rows[0]:
         raise MissingData(
             f"{path}: has no rows with a column 'file'; a manifest names file, split and "

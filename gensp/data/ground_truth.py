@@ -3,6 +3,7 @@
 Two shapes of one template correspond where their ids agree.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -47,7 +48,7 @@ def load_ground_truth(path: Path | str, template: str) -> GroundTruth:
     Raises
     ------
     MissingData
-        The file or one of its arrays is missing.
+        The file or one of its arrays is missing, or they do not belong together.
     """
     path = Path(path)
     if not path.is_file():
@@ -62,10 +63,28 @@ def load_ground_truth(path: Path | str, template: str) -> GroundTruth:
             f"{path}: arrays {', '.join(sorted(missing))} are missing; ground truth has "
             "template_vertex (k), face (k) and bary (k, 3); write them or remove the file"
         )
+    _require_rows(path, arrays)
     known = arrays["face"] >= 0
     return ground_truth(
         template, arrays["template_vertex"][known], arrays["face"][known], arrays["bary"][known]
     )
+
+
+def _require_rows(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    ids, faces, weights = (arrays[name] for name in ("template_vertex", "face", "bary"))
+    whole = {ids.dtype.kind, faces.dtype.kind} <= set("iu") and weights.dtype.kind == "f"
+    if not whole or ids.shape != faces.shape or weights.shape != (*faces.shape, 3):
+        raise MissingData(
+            f"{path}: arrays of {ids.dtype} {ids.shape}, {faces.dtype} {faces.shape} and "
+            f"{weights.dtype} {weights.shape}; template_vertex (k) and face (k) of integers and "
+            "bary (k, 3) are required; write them again or remove the file"
+        )
+    sums = np.clip(weights[faces >= 0], 0, None).sum(axis=-1)
+    if faces.ndim != 1 or not (np.isfinite(sums) & (sums > 0)).all():
+        raise MissingData(
+            f"{path}: barycentric coordinates that are no weights; finite ones, not all zero, are "
+            "required; write them again or remove the file"
+        )
 
 
 def ground_truth(template: str, ids: Any, faces: Any, weights: Any) -> GroundTruth:

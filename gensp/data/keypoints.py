@@ -14,13 +14,14 @@ import numpy as np
 from jaxtyping import Float
 
 from gensp.data.ground_truth import GroundTruth, ground_truth
-from gensp.errors import MissingData
+from gensp.errors import DamagedFile, MissingData
 from gensp.files import read_json
 from gensp.geometry.distance import closest_point
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.repair import bounding_diagonal
 
 KEYPOINTS = "keypoints"
+_FOREIGN = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
 Record = Mapping[str, Any]
 
 
@@ -34,7 +35,8 @@ def load_keypoint_records(path: Path | str) -> dict[str, Record]:
     """
     try:
         return {_model(record): record for record in read_json(path)}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    # What a parser of foreign records may meet, besides a file that is not there or no JSON.
+    except (OSError, DamagedFile, *_FOREIGN) as error:
         raise MissingData(
             f"{path}: is no list of keypoint records ({type(error).__name__}: {error}); model_id "
             "and keypoints with xyz, semantic_id and mesh_info are required; replace the file"
@@ -66,6 +68,10 @@ def _model(record: Record) -> str:
         lacking = {"semantic_id", "xyz", "mesh_info"} - point.keys()
         if lacking:
             raise KeyError(f"{record['model_id']} has a keypoint without {min(lacking)}")
+    # What is read of it later is read here once, so that a fault is told with the file's name.
+    _positions(record), symmetry_groups(record)
+    if not np.isfinite(keypoints_of(record).at.barycentric).all():
+        raise ValueError(f"{record['model_id']} has a face_uv that is no weight")
     return str(record["model_id"])
 
 

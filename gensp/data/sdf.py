@@ -1,14 +1,13 @@
 """Signed distance samples of closed surfaces, made once per mesh and kept in a cache."""
 
 import warnings
-import zipfile
-import zlib
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
+from gensp.errors import DamagedFile
 from gensp.files import content_hash, load_npz, save_npz
 from gensp.geometry.distance import signed_distance
 from gensp.geometry.mesh import Mesh
@@ -99,6 +98,6 @@ def _read(path: Path) -> SdfSamples | None:
         arrays = load_npz(path)
         samples = SdfSamples(arrays["points"], arrays["distances"])
         stored = str(arrays["digest"])
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+    except (OSError, KeyError, DamagedFile):
         return None
     return samples if stored == content_hash(samples.points, samples.distances) else None

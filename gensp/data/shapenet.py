@@ -4,7 +4,6 @@ Sources of the layouts: Chang et al., ShapeNet: An Information-Rich 3D Model Rep
 You et al., KeypointNet, 2020.
 """
 
-import csv
 import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,8 +17,8 @@ from gensp.data.folder import SPLITS, held_out
 from gensp.data.ground_truth import GroundTruth
 from gensp.data.keypoints import Record, read_annotations
 from gensp.data.raw import require_preparing
-from gensp.errors import MissingData, Unsupported
-from gensp.files import content_hash, read_json
+from gensp.errors import DamagedFile, MissingData, Unsupported
+from gensp.files import content_hash, read_json, read_rows
 from gensp.geometry.mesh import Mesh, load_mesh
 
 LICENCE = "ShapeNet terms of use"
@@ -207,10 +206,7 @@ def read_splits(path: Path) -> dict[str, str]:
 
 
 def _rows(path: Path) -> list[dict[str, str]]:
-    if not path.is_file():
-        return []
-    with open(path, newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
+    return read_rows(path) if path.is_file() else []
 
 
 def _taxonomy(root: Path) -> dict[str, str]:
@@ -221,7 +217,7 @@ def _taxonomy(root: Path) -> dict[str, str]:
     try:
         entries: list[dict[str, Any]] = read_json(path)
         return {entry["synsetId"]: entry["name"].split(",")[0] for entry in entries}
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (DamagedFile, KeyError, TypeError, AttributeError) as error:
         raise MissingData(
             f"{path}: cannot be read ({type(error).__name__}); a list of synsetId and name is "
             "required; restore or remove the file"

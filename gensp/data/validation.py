@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Protocol, TypeVar
 
-from gensp.errors import BadMesh, MissingData, Unsupported
+from gensp.errors import BadMesh, DamagedFile, MissingData, Unsupported
 from gensp.files import read_json, write_json
 from gensp.geometry.diagnosis import diagnose, repair_command
 from gensp.geometry.mesh import MAX_FACES, Mesh, load_mesh, require_genus_zero
@@ -107,6 +107,6 @@ def _read_record(record: Path | None) -> set[str]:
         return set()
     try:
         return set(read_json(record))
-    except (ValueError, TypeError):
+    except (DamagedFile, TypeError):
         warnings.warn(f"{record}: damaged; all meshes are checked again", stacklevel=2)
         return set()

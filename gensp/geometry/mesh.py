@@ -99,7 +99,15 @@ def load_mesh(path: Path | str) -> Mesh:
 
 
 def _read(path: Path) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "m 3"]]:
-    loaded: Any = trimesh.load(path, process=False, force="mesh", maintain_order=True)
+    # From an open file: a picture that the mesh names is not looked for.
+    with open(path, "rb") as file:
+        loaded: Any = trimesh.load(
+            file,
+            file_type=path.suffix[1:].lower(),
+            process=False,
+            force="mesh",
+            maintain_order=True,
+        )
     vertices = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)
     return vertices, np.asarray(loaded.faces, dtype=np.int64).reshape(-1, 3)
 

@@ -1,15 +1,14 @@
 """Networks in files: a description and tensors, never pickled code."""
 
 import io
-import pickle
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from gensp.errors import MissingStage, Unsupported
-from gensp.files import atomic_path
+from gensp.errors import DamagedFile, MissingStage, Unsupported
+from gensp.files import atomic_path, require_whole_archive
 from gensp.models.atlas import Atlas
 from gensp.models.encoder import PointNet2Encoder
 from gensp.models.generator import AnchoredGenerator, DirectGenerator, FlowGenerator
@@ -66,8 +65,12 @@ def load_model(path: Path | str) -> dict[str, Network]:
             "run python train.py stage=finetune"
         )
     try:
+        require_whole_archive(path)  # torch itself compares no checksums
         content = torch.load(path, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError) as error:
+    except DamagedFile as error:
+        raise Unsupported(f"{error}; or write it anew with stage=finetune") from error
+    # Unpicklers raise whatever they meet; the file is at fault in each case.
+    except Exception as error:
         raise Unsupported(_foreign(path, "not plain tensors and numbers")) from error
     if not isinstance(content, Mapping):
         raise Unsupported(_foreign(path, f"a {type(content).__name__}"))
@@ -77,17 +80,31 @@ def load_model(path: Path | str) -> dict[str, Network]:
 def _restored(stored: Any, path: Path) -> Network:
     if not isinstance(stored, Mapping) or {"architecture", "state_dict"} - stored.keys():
         raise Unsupported(_foreign(path, "no architecture and state_dict"))
-    architecture = stored["architecture"]
-    network = _known_class(architecture["class"], path)(**architecture["settings"])
+    architecture, state = stored["architecture"], stored["state_dict"]
+    if not isinstance(architecture, Mapping) or {"class", "settings"} - architecture.keys():
+        raise Unsupported(_foreign(path, "no class and settings"))
+    make = _known_class(architecture["class"], path)
     try:
-        network.load_state_dict(stored["state_dict"])
-    except RuntimeError as error:
+        _require_modest(architecture["settings"], sum(value.numel() for value in state.values()))
+        network = make(**architecture["settings"])
+        network.load_state_dict(state)
+    # Whatever a constructor says of foreign settings, or torch of foreign weights.
+    except Exception as error:
         raise Unsupported(_foreign(path, "weights of another architecture")) from error
     return network.eval()
 
 
-def _known_class(name: str, path: Path) -> type[Network]:
-    if name not in CLASSES:
+def _require_modest(settings: Any, numbers: int) -> None:
+    """Refuse sizes beyond the weights that are there, before memory is taken for them."""
+    if isinstance(settings, Mapping | list | tuple):
+        for value in settings.values() if isinstance(settings, Mapping) else settings:
+            _require_modest(value, numbers)
+    elif isinstance(settings, int) and settings > numbers:
+        raise ValueError(f"a size of {settings} for {numbers} numbers")
+
+
+def _known_class(name: Any, path: Path) -> type[Network]:
+    if not isinstance(name, str) or name not in CLASSES:
         raise Unsupported(_foreign(path, f"a network of class {name}"))
     return CLASSES[name]
 

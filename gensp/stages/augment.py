@@ -9,7 +9,7 @@ import numpy as np
 from gensp.compute import Row
 from gensp.data.items import item_path
 from gensp.data.shapes import ShapeCollection
-from gensp.files import write_json, write_text
+from gensp.files import load_npz, write_json, write_text
 from gensp.geometry.flow import accepted
 from gensp.runs import Run
 from gensp.stages.base import ItemStage, write_table
@@ -94,8 +94,7 @@ class AugmentStage(ItemStage):
         items = [{"id": row["id"], **shared, "kind": "input", "t": 0.0}]
         if row["accepted"]:
             for path in self._samples(str(row["id"])):
-                with np.load(path) as arrays:
-                    t = float(arrays["t"])
+                t = float(load_npz(path)["t"])
                 items.append({"id": path.stem, **shared, "kind": "augmented", "t": t})
         return items
 

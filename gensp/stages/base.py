@@ -11,7 +11,7 @@ from lightning import LightningModule, seed_everything
 from torch import Tensor
 
 from gensp.compute import Row, stored_rows
-from gensp.errors import GenSPError
+from gensp.errors import GenSPError, TrainingDiverged
 from gensp.files import write_text
 from gensp.runs import Run
 
@@ -87,6 +87,25 @@ class FitStage(Stage):
         step = (self.seed * 1_000_003 + self.global_step) * 1_009
         seed_everything(step % 2**32, verbose=False)
 
+    def on_train_batch_end(self, outputs: Any, batch: Any, batch_idx: int) -> None:
+        """Stop at a loss that is no number: what came after would be none either.
+
+        Raises
+        ------
+        TrainingDiverged
+            The loss is not finite.
+        """
+        loss = outputs["loss"] if isinstance(outputs, Mapping) else outputs
+        if loss is not None and not bool(torch.isfinite(loss).all()):
+            raise TrainingDiverged(self._diverged("the loss"))
+
+    def _diverged(self, what: str) -> str:
+        return (
+            f"{self.folder}: {what} is no finite number in epoch {self.current_epoch}, step "
+            f"{self.global_step}; finite ones are required; lower the stage's learning_rate, or "
+            "look for its cause with debug=anomaly"
+        )
+
     def part(self, count: int) -> tuple[slice, float]:
         """The rank's part of `count` things that all ranks drew alike, and what its mean weighs.
 
@@ -105,7 +124,15 @@ class FitStage(Stage):
         return summed if isinstance(summed, Tensor) else value.new_tensor(summed)
 
     def on_train_epoch_end(self) -> None:
-        """Keep the epoch's means."""
+        """Keep the epoch's means; weights that are no numbers are never saved.
+
+        Raises
+        ------
+        TrainingDiverged
+            A weight is not finite.
+        """
+        if not all(bool(torch.isfinite(weight).all()) for weight in self.parameters()):
+            raise TrainingDiverged(self._diverged("a weight"))
         means = {
             name: float(value)
             for name, value in self.trainer.callback_metrics.items()
@@ -185,9 +212,3 @@ def write_table(
     writer.writeheader()
     writer.writerows(rows)
     write_text(path, text.getvalue())
-
-
-def read_table(path: Path) -> list[dict[str, str]]:
-    """Rows of a csv file, all values as texts."""
-    with open(path, encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))

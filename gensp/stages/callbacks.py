@@ -12,7 +12,8 @@ from lightning.pytorch.plugins.io import TorchCheckpointIO
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
 
-from gensp.files import atomic_path
+from gensp.errors import DamagedFile
+from gensp.files import atomic_path, require_whole_archive
 from gensp.runs import CHECKPOINT
 
 
@@ -53,6 +54,29 @@ class WholeCheckpoints(TorchCheckpointIO):
         torch.save(checkpoint, data)
         with atomic_path(path) as temporary:
             temporary.write_bytes(data.getbuffer())
+
+    def load_checkpoint(
+        self,
+        path: str | Path,
+        map_location: Any = lambda storage, location: storage,
+        weights_only: bool | None = True,
+    ) -> dict[str, Any]:
+        """Read plain tensors and numbers, after their checksums: torch itself compares none.
+
+        Raises
+        ------
+        DamagedFile
+            The file is not what was written.
+        """
+        try:
+            require_whole_archive(path)
+            return torch.load(path, map_location=map_location, weights_only=True)
+        # Unpicklers raise whatever they meet; the file is at fault in each case.
+        except Exception as error:
+            raise DamagedFile(
+                f"{path}: is damaged ({' '.join(str(error).split())[:120]}); a whole checkpoint "
+                "is required to go on; remove it to train from the start, or restore it"
+            ) from error
 
 
 class StageProgress(ProgressBar):

@@ -9,13 +9,13 @@ import torch
 
 from gensp.compute import Row, stored_rows
 from gensp.data.shapes import ShapeCollection
-from gensp.files import load_npz, read_json, write_json, write_text
+from gensp.files import load_npz, read_json, read_rows, write_json, write_text
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import icosphere
 from gensp.models import load_model
 from gensp.pictures import PictureOptions, draw_all
 from gensp.runs import SETTINGS, Run
-from gensp.stages.base import ItemStage, read_table, write_table
+from gensp.stages.base import ItemStage, write_table
 from gensp.stages.summary import Record, summarize, without_nan
 from gensp.tables import summary_csv, summary_markdown
 from gensp.tasks.evaluate import mapped_ids
@@ -98,7 +98,7 @@ class EvaluateStage(ItemStage):
     def _lost(self) -> list[Record]:
         """Training shapes that no registration reached: nothing was learnt from them."""
         path = self.runs.get("correspond", Path()) / "shapes.csv"
-        rows = read_table(path) if "correspond" in self.runs and path.is_file() else []
+        rows = read_rows(path) if "correspond" in self.runs and path.is_file() else []
         return [{"id": row["id"], "reason": row["error"]} for row in rows if row.get("error")]
 
     def _write(self, rows: list[Record], pairs: list[Record], summary: Record) -> None:

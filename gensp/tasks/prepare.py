@@ -2,7 +2,6 @@
 
 import json
 import time
-import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ from gensp.compute import Row
 from gensp.data.ground_truth import GroundTruth, carry_ground_truth, save_ground_truth
 from gensp.data.keypoints import Record, carry_keypoints, keypoint_distance, symmetry_groups
 from gensp.data.raw import RawCollection
-from gensp.errors import BadMesh
+from gensp.errors import BadMesh, DamagedFile
 from gensp.files import atomic_path, content_hash, load_npz, save_npz, write_json
 from gensp.geometry.mesh import MAX_FACES, Mesh, normalize
 from gensp.geometry.ply import ply_bytes
@@ -185,7 +184,7 @@ def _loaded(path: Path | None, id: str) -> Bundle | None:
             at = SurfacePoints(arrays["face"], arrays["bary"])
             truth = GroundTruth(str(arrays["template"]), arrays["ids"], at)
         return Bundle(row, mesh, truth, record)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    except (OSError, ValueError, KeyError, DamagedFile):
         return None
 
 
