@@ -173,12 +173,13 @@ def _minimise(
     for iteration in range(max_iterations):
         tell(f"Newton step {iteration + 1} of at most {max_iterations}, {len(u)} vertices")
         frames = tangent_frame(u)
-        gradient, hessian = problem.gradient(u, frames), problem.hessian(u, frames)
         try:
+            gradient, hessian = problem.gradient(u, frames), problem.hessian(u, frames)
             solver = factored(solver, hessian, problem.mesh.vertices)
             step = -solver.solve(gradient)
         except np.linalg.LinAlgError:
-            # Triangles so small that the matrix has no digits left: the map is as good as it gets.
+            # Vertices fell together, or triangles are so small that the matrix has no digits left:
+            # the map is as good as it gets.
             return Refined(u, value, iteration, False)
         direction = np.einsum("nik,nk->ni", frames, step.reshape(-1, 2))
         slope = float(gradient @ step)

@@ -5,7 +5,7 @@ from gensp.errors import NotEmbeddable
 from gensp.geometry.alignment import ball_inversion, best_rotation
 from gensp.geometry.distortion import distortion
 from gensp.geometry.mesh import normalize
-from gensp.geometry.newton import refine_map
+from gensp.geometry.newton import minimise_map, refine_map
 from gensp.geometry.predicates import bad_faces, map_degree
 from gensp.geometry.sphere import icosphere, unit
 from gensp.geometry.spherical_energy import SphericalEnergy
@@ -103,3 +103,17 @@ def test_folded_start_is_refused(bumpy):
     start[7] = -start[7]
     with pytest.raises(NotEmbeddable, match=r"bumpy.*bad faces.*untangle"):
         refine_map(normalize(bumpy), start)
+
+
+class _WithoutHessian(SphericalEnergy):
+    """The derivatives of a map in which two vertices fall together are not finite."""
+
+    def hessians(self, u, frames):
+        return np.full((6, 6, len(self.faces)), np.nan)
+
+
+def test_derivatives_that_are_not_finite_end_the_iteration():
+    ball, start = normalize(icosphere(2)), icosphere(2).vertices
+    refined = minimise_map(ball, start, _WithoutHessian(ball))
+    assert not refined.converged
+    np.testing.assert_array_equal(refined.sphere, unit(start))
