@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from gensp.errors import DegenerateMesh
+from gensp.errors import DegenerateMesh, MissingStage
 from gensp.geometry.mesh import Mesh, require_genus_zero
 from gensp.geometry.spherical_map import SphericalMap
 from gensp.methods import SphericalParameterization
@@ -108,7 +108,13 @@ def load(model: Path | str, *, register: bool | None = None, **settings: Any) ->
     from gensp.methods.refinement import CertifiedRefinement
     from gensp.pretrained import shipped
 
-    known = shipped().get(str(model))
+    models = shipped()
+    known = models.get(str(model))
+    if known is None and not Path(model).is_file():
+        raise MissingStage(
+            f"{model}: does not exist; a trained model.pt or a model of the package "
+            f"({', '.join(sorted(models))}) is required; run python train.py stage=finetune"
+        )
     chosen = (
         {"fit": NoFit(), "refine": CertifiedRefinement()} if known is None else known.settings()
     )

@@ -73,3 +73,8 @@ def test_shipping_copies_the_model_and_how_it_is_used(
 def test_a_folder_that_is_no_parameterization_is_refused(tmp_path) -> None:
     with pytest.raises(MissingStage, match=r"stage=parameterize"):
         entry_of(tmp_path)
+
+
+def test_an_unknown_model_is_told_which_there_are():
+    with pytest.raises(MissingStage, match=r"horses.*heads, humans, quadrupeds"):
+        gensp.load("horses")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gensp.errors import MissingStage
+from gensp.errors import DamagedFile, MissingStage
 from gensp.files import load_npz, read_json
 from gensp.geometry.mesh import Mesh
 
@@ -44,6 +44,8 @@ def training_items(
     ------
     MissingStage
         The folder holds no finished stage I.
+    DamagedFile
+        An id is no plain name of a file.
     """
     path = Path(folder) / "items.json"
     if not path.is_file():
@@ -51,6 +53,13 @@ def training_items(
             f"{path}: does not exist; the items of stage I are required; run stage=augment"
         )
     items = [Item(**entry) for entry in read_json(path)]
+    # Ids become names of files: none may lead out of the folder that they are written to.
+    for id in (name for item in items for name in (item.id, item.shape)):
+        if Path(id).name != id:
+            raise DamagedFile(
+                f"{path}: has the id {id!r}; a plain file name is required; "
+                    "run stage=augment again"
+            )
     kinds = ("input", "augmented") if augmented else ("input",)
     return [item for kind in kinds for item in items if item.kind == kind and item.split in splits]
 

@@ -9,8 +9,8 @@ from gensp.compute import Workers, run_items
 from gensp.data.items import Item, item_mesh, training_items
 from gensp.data.modules import ItemsModule
 from gensp.data.shapes import ShapeCollection
-from gensp.errors import DegenerateMesh, MissingStage
-from gensp.files import load_npz
+from gensp.errors import DamagedFile, DegenerateMesh, MissingStage
+from gensp.files import load_npz, write_json
 from gensp.geometry.distance import hausdorff
 from gensp.geometry.flow import StepSchedule, cmcf, flow_score
 from gensp.geometry.mesh import SPHERE_AREA, Mesh, normalize, require_genus_zero, save_mesh
@@ -143,6 +143,14 @@ def test_no_data_augmentation_leaves_the_inputs(task):
 def test_items_of_a_missing_stage_name_the_command(tmp_path):
     with pytest.raises(MissingStage, match="stage=augment"):
         training_items(tmp_path, augmented=True)
+
+
+@pytest.mark.parametrize("id", ["../bumpy", "/bumpy", "a/b"])
+def test_an_id_that_leads_out_of_the_folder_is_refused(tmp_path, id):
+    entry = {"id": id, "shape": "bumpy", "split": "train", "kind": "input", "t": 0.0}
+    write_json(tmp_path / "items.json", [entry])
+    with pytest.raises(DamagedFile, match="plain file name"):
+        training_items(tmp_path, augmented=False)
 
 
 def test_a_shape_that_cannot_flow_still_is_an_item(task, monkeypatch):
