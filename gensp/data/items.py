@@ -58,7 +58,7 @@ def training_items(
         if Path(id).name != id:
             raise DamagedFile(
                 f"{path}: has the id {id!r}; a plain file name is required; "
-                    "run stage=augment again"
+                "run stage=augment again"
             )
     kinds = ("input", "augmented") if augmented else ("input",)
     return [item for kind in kinds for item in items if item.kind == kind and item.split in splits]
