@@ -11,14 +11,13 @@ from scipy.spatial.transform import Rotation
 from gensp.compute import Workers, run_items
 from gensp.data.items import item_path
 from gensp.errors import RegistrationFailed
-from gensp.files import load_npz, read_json, save_npz
+from gensp.files import load_npz, read_json, read_rows, save_npz
 from gensp.geometry.certificate import certify
 from gensp.geometry.distance import closest_point
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.sphere import icosphere, unit
 from gensp.models import Atlas
 from gensp.runs import Run
-from gensp.stages.base import read_table
 from gensp.stages.pairing import PairedStage
 from gensp.tasks.pairing import SHARED, pairing_items, pairing_task
 
@@ -88,7 +87,7 @@ def finished(inputs: dict[str, Run], tmp_path_factory: pytest.TempPathFactory) -
 def test_every_input_is_reached_and_corresponds(finished: Finished) -> None:
     folder, metrics = finished.folder, finished.metrics
     assert metrics["lost"] == metrics["rejected"] == 0
-    assert {row["id"] for row in read_table(folder / "shapes.csv")} == set(SHAPES)
+    assert {row["id"] for row in read_rows(folder / "shapes.csv")} == set(SHAPES)
     points = {id: load_npz(folder / "correspondences" / f"{id}.npz")["points"] for id in SHAPES}
     # One icosphere point is one vertex of the template, on every shape; the second is turned.
     template = {
@@ -106,7 +105,7 @@ def test_the_tree_is_written_as_the_other_kind(finished: Finished) -> None:
     assert tree["parent"][0] == -1
     assert tree["parent"].count(0) == 1
     assert all(tree["used"])
-    rows = read_table(finished.folder / "edges.csv")
+    rows = read_rows(finished.folder / "edges.csv")
     pairs = {frozenset(row["id"].split("/")) for row in rows}
     ids = tree["ids"]
     for child, parent in zip(ids[1:], tree["parent"][1:], strict=True):
