@@ -166,6 +166,7 @@ class _Track:
         self.errors, self.sound = [_sphere_error(mesh)], [True]
 
     def add(self, shape: Mesh, displacement: float) -> None:
+        """The next shape, and how far its vertices moved."""
         self.shapes.append(shape)
         self.moved.append(displacement)
         self.errors.append(_sphere_error(shape))
@@ -180,6 +181,7 @@ class _Track:
         return since_best >= self.patience and self.moved[-1] < _STILL
 
     def flow(self, step: StepSchedule, reason: str) -> Flow:
+        """The flow that is kept: up to its roundest shape where it stalled, else all of it."""
         kept = int(np.argmin(self.errors)) + 1 if reason == "stalled" else len(self.shapes)
         kept = max(kept, 2)
         steps = [step(k) for k in range(kept - 1)]

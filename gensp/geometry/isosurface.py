@@ -91,6 +91,7 @@ class _Grid:
 
     @classmethod
     def over(cls, corners: Float[np.ndarray, "2 3"], resolution: int) -> "_Grid":
+        """A box around two corners with about `resolution` cells along its longest side."""
         sides = corners[1] - corners[0]
         halvings = max(floor(log2(resolution / COARSEST)), 0)
         coarse = -(-resolution // 2**halvings)

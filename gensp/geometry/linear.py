@@ -145,6 +145,7 @@ class _SupernodalFactor:
         self.refactor(matrix.data)
 
     def refactor(self, values: np.ndarray) -> None:
+        """Factor again with other values in the same places of the matrix."""
         self._permuted.data = values[self._source]
         try:
             self._lu = scipy.sparse.linalg.splu(

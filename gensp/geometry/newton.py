@@ -155,6 +155,7 @@ class _PulledEnergy:
     def hessian(
         self, u: Float[np.ndarray, "n 3"], frames: Float[np.ndarray, "n 3 2"]
     ) -> scipy.sparse.csc_matrix:
+        """Of the energy, every triangle's part made positive, with springs and ridge."""
         blocks = project_positive(self.distortion.hessians(u, frames))
         # ‖u − u⁰‖² = 2 − 2 u·u⁰ on the sphere has the Hessian 2 (u·u⁰) I.
         aligned = np.maximum(np.einsum("ni,ni->n", u, self.target), 0)
