@@ -19,6 +19,7 @@ from numpy.lib import format as npy
 from gensp.errors import DamagedFile, OutputError
 
 _LARGEST_ARRAYS = 2**31  # bytes of an npz when unpacked; a damaged or hostile file may claim more
+_REMEDY = "restore or remove the file"
 
 
 @contextmanager
@@ -169,8 +170,13 @@ def _array(data: bytes) -> np.ndarray:
     return np.ndarray(shape, dtype, content, order="F" if fortran else "C")
 
 
-def require_whole_archive(path: Path | str) -> None:
+def require_whole_archive(path: Path | str, remedy: str = _REMEDY) -> None:
     """Check the checksums of an archive of torch (model.pt, checkpoint), which torch does not.
+
+    Parameters
+    ----------
+    remedy
+        What to do with a damaged file, for the error.
 
     Raises
     ------
@@ -184,17 +190,17 @@ def require_whole_archive(path: Path | str) -> None:
                 unpacked = sum(entry.file_size for entry in archive.infolist())
                 spoilt = archive.testzip() if unpacked <= os.fstat(file.fileno()).st_size else ""
         except Exception as error:
-            raise DamagedFile(_damaged(path, "archive", error)) from error
+            raise DamagedFile(_damaged(path, "archive", error, remedy)) from error
     if spoilt is not None:
         found = f"{spoilt} was changed" if spoilt else f"{unpacked} bytes when unpacked"
-        raise DamagedFile(_damaged(path, "archive", found))
+        raise DamagedFile(_damaged(path, "archive", found, remedy))
 
 
-def _damaged(path: Path | str, kind: str, found: object) -> str:
+def _damaged(path: Path | str, kind: str, found: object, remedy: str = _REMEDY) -> str:
     reason = f"{type(found).__name__}: {found}" if isinstance(found, Exception) else str(found)
     return (
         f"{path}: is damaged ({' '.join(reason.split())[:120]}); a whole {kind} is required; "
-        "restore or remove the file"
+        f"{remedy}"
     )
 
 

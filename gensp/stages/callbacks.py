@@ -43,6 +43,9 @@ class LastCheckpoint(Checkpoint):
             self._saved = time.monotonic()
 
 
+_REMEDY = "remove it to train from the start, or restore it"
+
+
 class WholeCheckpoints(TorchCheckpointIO):
     """Checkpoints that are renamed into place: a killed run leaves the old one or the new one."""
 
@@ -69,13 +72,15 @@ class WholeCheckpoints(TorchCheckpointIO):
             The file is not what was written.
         """
         try:
-            require_whole_archive(path)
+            require_whole_archive(path, remedy=_REMEDY)
             return torch.load(path, map_location=map_location, weights_only=True)
+        except DamagedFile:
+            raise
         # Unpicklers raise whatever they meet; the file is at fault in each case.
         except Exception as error:
             raise DamagedFile(
                 f"{path}: is damaged ({' '.join(str(error).split())[:120]}); a whole checkpoint "
-                "is required to go on; remove it to train from the start, or restore it"
+                f"is required to go on; {_REMEDY}"
             ) from error
 
 
