@@ -181,9 +181,9 @@ class CertifiedRefinement(NewtonRefinement):
         Share of folded faces up to which untangling is tried.
     """
 
-    pull: float = 100.0
+    pull: float = 30.0
     energy: str = "sigma"
-    floor: float = 3.0
+    floor: float = 1.0
     tolerance: float = 3e-4
     untangle_up_to: float = 0.01
 
