@@ -87,6 +87,38 @@ def prediction_error(
     return np.linalg.norm(implied - true, axis=1) / np.sqrt(shape_j.mesh.area)
 
 
+def generated_consistency(
+    shape_i: GeneratedShape,
+    shape_j: GeneratedShape,
+    at_i: SurfacePoints,
+    at_j: SurfacePoints,
+    hausdorff: float,
+) -> float:
+    """c of two generated surfaces: the mean of both directions, over the Hausdorff distance.
+
+    The images of the icosphere's vertices are the uniform samples of the sphere, and
+    `prediction_error` stands for the maps that are not made yet.
+
+    Parameters
+    ----------
+    at_i, at_j
+        The same k ground-truth points x_k on S_i and m_ij(x_k) on S_j.
+    hausdorff
+        Distance of the two shapes.
+    """
+    ways = ((shape_i, shape_j, at_i, at_j), (shape_j, shape_i, at_j, at_i))
+    return float(np.mean([_one_way(*way) for way in ways]) / hausdorff)
+
+
+def _one_way(
+    shape_i: GeneratedShape, shape_j: GeneratedShape, at_i: SurfacePoints, at_j: SurfacePoints
+) -> float:
+    x = at_i.on(shape_i.mesh.vertices, shape_i.mesh.faces)
+    weights = _share_of_nearest(shape_i.image.vertices, x)
+    error = prediction_error(shape_i, shape_j, at_i, at_j)
+    return float(error @ weights * np.sqrt(shape_j.mesh.area))
+
+
 def pair_rotation(
     map_i: SphericalMap,
     map_j: SphericalMap,

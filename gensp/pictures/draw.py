@@ -171,7 +171,7 @@ KINDS: tuple[tuple[str, str, Callable[[Material], list[Path]]], ...] = (
     ("Predictions", "What the generator makes of an input, and the final map.", prediction_strips),
     ("Flows", "Stage I: from a shape to the sphere.", flow_strips),
     ("Latent space", "Codes relative to the sphere's; registered edges are dark.", latents),
-    ("Losses", "Means over the epoch.", losses),
+    ("Losses", "Means over the epoch; broken: validation shapes on the way.", losses),
     ("Errors", "Implied correspondence against ground truth.", errors),
     ("Distortion", "Isometric distortion σ of every triangle.", distortion_sheet),
     ("Shape by shape", "", single_shapes),
