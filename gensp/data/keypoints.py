@@ -4,7 +4,7 @@ Source of the format: You et al., KeypointNet: A Large-scale 3D Keypoint Dataset
 Numerous Human Annotations, 2020.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -92,6 +92,15 @@ def symmetry_groups(record: Record) -> list[tuple[int, ...]]:
     symmetries = record.get("symmetries") or {}
     listed = [*symmetries.get("reflection", ()), *symmetries.get("rotation", ())]
     return [tuple(ids[place] for place in entry["kp_indexes"]) for entry in listed]
+
+
+def symmetry_orbits(groups: Sequence[Sequence[int]]) -> list[tuple[int, ...]]:
+    """The groups, those with a member in common joined: what any chain of symmetries exchanges."""
+    orbits: list[set[int]] = []
+    for group in groups:
+        met = [orbit for orbit in orbits if orbit & set(group)]
+        orbits = [orbit for orbit in orbits if orbit not in met] + [set(group).union(*met)]
+    return [tuple(sorted(orbit)) for orbit in orbits]
 
 
 @dataclass(frozen=True)

@@ -74,7 +74,9 @@ class KnownShapes:
             shapes have ground truth in common.
         """
         made = {
-            id: GeneratedShape(mesh, Mesh(np.asarray(images[id], dtype=float), self.ball.faces, id))
+            id: GeneratedShape(
+                mesh, Mesh(np.asarray(images[id], dtype=float), self.ball.faces, id)
+            )
             for id, mesh in self.meshes.items()
         }
         rows = [self._row(shape) for shape in made.values()]

@@ -283,3 +283,16 @@ def test_words_that_would_be_ignored_are_refused(
 def test_raw_collections_name_the_command_that_prepares_them(shapes: str, tmp_path: Path) -> None:
     with pytest.raises(Unsupported, match=rf"stage=prepare shapes={shapes} shapes\.root="):
         run_here("stage=augment", f"shapes={shapes}", f"shapes.root={tmp_path}")
+
+
+def test_surfaces_that_pass_through_themselves_are_counted(tmp_path: Path) -> None:
+    inside = np.array(BALL.vertices)
+    inside[3] = -1.5 * inside[3]
+    save_mesh(BALL, tmp_path / "raw" / "ball.ply")
+    save_mesh(BALL.with_vertices(inside), tmp_path / "raw" / "crossing.ply")
+    rows = prepare(tmp_path / "raw", tmp_path / "out")
+    assert rows["ball"]["self_intersecting_before"] == "0"
+    count = int(rows["crossing"]["self_intersecting_before"])
+    assert count > 5
+    card = (tmp_path / "out" / "CARD.md").read_text()
+    assert f"| usable | 1 | 2 | {count} to {count}, median {count} |" in card
