@@ -9,9 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from gensp.data.blobs import BlobFamily, generate_blobs
 from gensp.data.folder import Shape, list_meshes, read_manifest, with_split
 from gensp.data.ground_truth import GroundTruth, load_ground_truth
 from gensp.data.keypoints import (
@@ -23,7 +22,9 @@ from gensp.data.keypoints import (
 from gensp.data.validation import checked
 from gensp.errors import MissingData, Unsupported
 from gensp.files import content_hash, read_rows
-from gensp.geometry.mesh import Mesh, load_mesh
+
+if TYPE_CHECKING:
+    from gensp.geometry.mesh import Mesh
 
 SPHERE = "sphere"
 
@@ -116,6 +117,9 @@ class ShapeCollection:
         **family: Any,
     ) -> "ShapeCollection":
         """The generated family of limbed blobs; `family` are the fields of `BlobFamily`."""
+        # Imported late, like load_mesh below: a finished stage asks for the files alone.
+        from gensp.data.blobs import BlobFamily, generate_blobs
+
         root = generate_blobs(cache, BlobFamily(**family))
         return cls.from_folder(
             root, name=name, on_bad=on_bad, max_faces=max_faces, up=up, cache=cache
@@ -165,8 +169,10 @@ class ShapeCollection:
             )
         return self._shapes[id]
 
-    def mesh(self, id: str) -> Mesh:
+    def mesh(self, id: str) -> "Mesh":
         """The mesh in its file's coordinates and vertex order, named by its id."""
+        from gensp.geometry.mesh import load_mesh
+
         return replace(load_mesh(self.shape(id).path), name=id)
 
     def ground_truth(self, id: str) -> GroundTruth | None:
