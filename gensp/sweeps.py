@@ -82,6 +82,15 @@ def _word(cfg: DictConfig, key: str) -> str:
     return re.sub(r"[^\w.,-]+", "_", str(plain)).strip("_")
 
 
+def named(cfg: DictConfig) -> DictConfig:
+    """The configuration whose tables call the variant by what is swept, too."""
+    if not cfg.get("swept"):
+        return cfg
+    found: DictConfig = cfg.copy()
+    found.method.variant = cfg.method.variant + suffix(cfg, "evaluate")
+    return found
+
+
 def suffixes(cfg: DictConfig) -> dict[str, str]:
     """The same for all stages; empty without a sweep."""
     return {stage: suffix(cfg, stage) for stage in _ORDER} if cfg.get("swept") else {}

@@ -132,7 +132,7 @@ def generated_consistency(
     at_j: SurfacePoints,
     hausdorff: float,
 ) -> float:
-    """c of two generated surfaces: the mean of both directions, over the Hausdorff distance.
+    """C of two generated surfaces: the mean of both directions, over the Hausdorff distance.
 
     The images of the icosphere's vertices are the uniform samples of the sphere, and
     `prediction_error` stands for the maps that are not made yet.

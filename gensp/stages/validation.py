@@ -19,7 +19,7 @@ from gensp.terminal import say
 
 
 class Validation(Callback):
-    """Measures a few shapes at some ends of epochs, evenly through the training, the last included.
+    """Measures a few shapes at ends of epochs, evenly through the training, the last included.
 
     The figures go to the loggers and to the history as val/<name>. They are taken on rank zero,
     without gradients and with random states of their own.

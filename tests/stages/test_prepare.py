@@ -310,7 +310,7 @@ def test_surfaces_that_pass_through_themselves_are_counted(tmp_path: Path) -> No
 
 
 def test_a_finished_stage_is_kept_without_loading_what_computes(raw: Path, tmp_path: Path) -> None:
-    """One command for several collections; the second time neither torch nor geometry is loaded."""
+    """One command for several collections; the second time no geometry is loaded."""
     shutil.copytree(raw, tmp_path / "data" / "one")
     shutil.copytree(raw, tmp_path / "data" / "two")
     places = (f"shapes.root={tmp_path}/data/${{shapes.name}}", f"paths.cache={tmp_path}/cache")

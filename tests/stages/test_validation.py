@@ -7,6 +7,8 @@ import pytest
 import torch
 from lightning import Trainer
 from lightning.pytorch.loggers import CSVLogger
+from test_generator import correspondences, finetune_stage, initialize_stage
+from test_implicit import implicit_stage, sdf_module
 
 from gensp.data.ground_truth import GroundTruth, save_ground_truth
 from gensp.data.shapes import ShapeCollection
@@ -17,8 +19,6 @@ from gensp.geometry.sphere import icosphere
 from gensp.pictures.curves import loss_curves, read_history
 from gensp.stages.validation import DistanceValidation, GeneratorValidation, Validation
 from gensp.tasks.generated import KnownShapes
-from test_generator import correspondences, finetune_stage, initialize_stage
-from test_implicit import implicit_stage, sdf_module
 
 BALL = icosphere(3)
 
@@ -54,7 +54,7 @@ def test_exact_images_have_no_error_and_the_distortion_of_their_map(tmp_path: Pa
 def test_turned_images_are_inconsistent_and_collapsed_faces_are_bad(tmp_path: Path) -> None:
     known = KnownShapes(shapes(tmp_path, "val", "val", "val"), ["long", "even"], level=3)
     images = {id: np.array(mesh.vertices) for id, mesh in known.meshes.items()}
-    # A half turn of the ball moves its points by 4/π of the radius on average; by less near the axis.
+    # Half a turn moves the points of the ball, the more the farther from the axis.
     images["even"] = images["even"] * np.array([-1, -1, 1])
     figures = known.figures(images)
     distance = np.linalg.norm(2 * BALL.vertices[:, :2], axis=1).mean()
