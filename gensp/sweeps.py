@@ -71,7 +71,7 @@ def suffix(cfg: DictConfig, stage: str) -> str:
                 "leave it out, and give every value a name=NAME of its own"
             )
         if stage in _ORDER and _ORDER.index(first) <= _ORDER.index(stage):
-            parts.append(f"+{str(key).removeprefix('recipe.')}={_word(cfg, str(key))}")
+            parts.append(f"+{str(key).removeprefix('recipe.')}-{_word(cfg, str(key))}")
     return "".join(parts)
 
 

@@ -56,16 +56,16 @@ def test_a_sweep_over_a_weight_has_a_folder_for_each_value(smoke_copy: Path) -> 
     assert done.stdout.count("finished before, kept") == 2
     runs = smoke_copy / "smoke"
     for value in (0.01, 1.0):
-        learnt = runs / f"full+finetune.isometry_weight={value}" / "finetune"
+        learnt = runs / f"full+finetune.isometry_weight-{value}" / "finetune"
         stored = json.loads((learnt / "manifest.json").read_text())
         assert stored["settings"]["stage"]["module"]["isometry_weight"] == value
-        maps = runs / f"full+certify+finetune.isometry_weight={value}"
+        maps = runs / f"full+certify+finetune.isometry_weight-{value}"
         table = json.loads((maps / "evaluate" / "summary.json").read_text())
         assert table["variant"] == maps.name
     # The same by hand, without -m.
     again = train(*fixed, "stage=finetune", f"{key}=1.0", f"swept=[{key}]")
     assert "finished before, kept" in again.stdout
-    both = [str(runs / f"full+finetune.isometry_weight={value}") for value in (0.01, 1.0)]
+    both = [str(runs / f"full+finetune.isometry_weight-{value}") for value in (0.01, 1.0)]
     compared = CliRunner().invoke(app, ["runs", "compare", *both])
     assert compared.exit_code == 0
     assert "stage.module.isometry_weight" in compared.stdout
