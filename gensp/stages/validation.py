@@ -35,7 +35,7 @@ class Validation(Callback):
         At most so many are measured.
     """
 
-    def __init__(self, *, collection: ShapeCollection, times: int = 10, shapes: int = 6) -> None:
+    def __init__(self, *, collection: ShapeCollection, times: int = 10, shapes: int = 4) -> None:
         self.collection, self.times, self.shapes = collection, times, shapes
 
     def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
@@ -93,7 +93,7 @@ class GeneratorValidation(Validation):
         """See `KnownShapes.figures`."""
         ids = self.chosen(trainer)
         if self._known is None:
-            self._known = KnownShapes(self.collection, ids, self.level)
+            self._known = KnownShapes(self.collection, ids, level=self.level)
         codes = _codes(trainer, stage, ids)
         p = torch.from_numpy(self._known.ball.vertices.astype(np.float32)).to(codes)[None]
         images = {id: stage.generator(z[None], p)[0] for id, z in zip(ids, codes, strict=True)}

@@ -40,9 +40,14 @@ class KnownShapes:
     ----------
     level
         Of the icosphere whose images are measured.
+    points
+        At most so many points of the common ground truth are compared.
     """
 
-    def __init__(self, collection: ShapeCollection, ids: list[str], level: int = 4) -> None:
+    def __init__(
+        self, collection: ShapeCollection, ids: list[str], *, level: int = 4, points: int = 512
+    ) -> None:
+        self.points = points
         self.meshes = {id: normalize(collection.mesh(id)) for id in ids}
         self.truths = {id: collection.ground_truth(id) for id in ids}
         self.ball = icosphere(level)
@@ -54,6 +59,8 @@ class KnownShapes:
         found = []
         for a, b in combinations(self.meshes, 2):
             rows, others = _common(self.truths[a], self.truths[b])
+            some = np.linspace(0, len(rows) - 1, min(len(rows), self.points)).astype(int)
+            rows, others = rows[some], others[some]
             if len(rows):
                 found.append(KnownPair(a, b, rows, others, index[a].distance(index[b])))
         return found
