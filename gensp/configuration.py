@@ -103,7 +103,6 @@ def settings_of(cfg: DictConfig, inputs: Mapping[str, Run]) -> dict[str, Any]:
     bare = cfg.copy()
     OmegaConf.set_struct(bare, False)
     bare.paths = {key: f"<{key}>" for key in cfg.paths}
-    bare.swept = []  # names, not numbers
     bare.workers = None
     trainer = OmegaConf.to_container(bare.trainer, resolve=True)
     # Only stages whose work names the collection read its files; the others see it by `inputs`.

@@ -77,7 +77,14 @@ def test_a_folder_that_is_no_parameterization_is_refused(tmp_path) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["{", "method: 3", "[]", "", "method: {name: gensp, object: 1}", "!!python/object:os.system {}"],
+    [
+        "{",
+        "method: 3",
+        "[]",
+        "",
+        "method: {name: gensp, object: 1}",
+        "!!python/object:os.system {}",
+    ],
 )
 def test_a_damaged_configuration_is_one_line(tmp_path, text: str) -> None:
     write_text(tmp_path / "config.yaml", text)

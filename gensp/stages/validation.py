@@ -97,7 +97,9 @@ class GeneratorValidation(Validation):
         codes = _codes(trainer, stage, ids)
         p = torch.from_numpy(self._known.ball.vertices.astype(np.float32)).to(codes)[None]
         images = {id: stage.generator(z[None], p)[0] for id, z in zip(ids, codes, strict=True)}
-        return self._known.figures({id: image.cpu().numpy() for id, image in images.items()})
+        return self._known.figures(
+            {id: image.float().cpu().numpy() for id, image in images.items()}
+        )
 
 
 class DistanceValidation(Validation):
