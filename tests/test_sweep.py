@@ -1,14 +1,14 @@
 """Sweeps: one folder per variant, shared stages made once, a failed job stops no other."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
-from commands import ROOT, STAGES, smoke_words, train
+from commands import ROOT, STAGES, environment, smoke_words, train
 from hydra import compose, initialize_config_dir
-from typer.testing import CliRunner
 
-from gensp.cli import app
 from gensp.configuration import runs_of, settings_of
 from gensp.sweeps import with_swept
 
@@ -66,8 +66,10 @@ def test_a_sweep_over_a_weight_has_a_folder_for_each_value(smoke_copy: Path) -> 
     again = train(*fixed, "stage=finetune", f"{key}=1.0", f"swept=[{key}]")
     assert "finished before, kept" in again.stdout
     both = [str(runs / f"full+finetune.isometry_weight-{value}") for value in (0.01, 1.0)]
-    compared = CliRunner().invoke(app, ["runs", "compare", *both])
-    assert compared.exit_code == 0
+    compare = [sys.executable, "-m", "gensp", "runs", "compare", *both]
+    compared = subprocess.run(
+        compare, cwd=ROOT, env=environment(), capture_output=True, text=True, check=True
+    )
     assert "stage.module.isometry_weight" in compared.stdout
     assert "val/sigma" in compared.stdout
 
