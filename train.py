@@ -6,6 +6,7 @@ python train.py --help                             stages, groups, every setting
 """
 
 import os
+import sys
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -35,4 +36,8 @@ if __name__ == "__main__":
     from gensp.mistakes import one_line_words
 
     with one_line_words():
+        if {"-m", "--multirun"} & set(sys.argv):
+            from gensp.sweeps import with_swept
+
+            sys.argv[1:] = with_swept(sys.argv[1:])
         main()

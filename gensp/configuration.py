@@ -15,6 +15,7 @@ from omegaconf.errors import InterpolationKeyError
 
 from gensp.errors import GenSPError, MissingData, Unsupported
 from gensp.runs import Run, Runs
+from gensp.sweeps import suffixes
 
 _TRAINER_SCIENCE = (
     "max_epochs",
@@ -83,11 +84,14 @@ def runs_of(cfg: DictConfig, overrides: Sequence[str] = ()) -> Runs:
     """The folders that a configuration reads and writes."""
     words = [word for word in overrides if not word.startswith(("stage=", "force=", "debug="))]
     maps = {"parameterize": cfg.method.variant, "evaluate": cfg.method.variant}
+    own = {**maps, **cfg.ablation.shares}
+    swept = suffixes(cfg)
+    named = {stage: own.get(stage, cfg.ablation.name) + more for stage, more in swept.items()}
     return Runs(
         root=Path(cfg.paths.runs),
         experiment=cfg.name,
         variant=cfg.ablation.name,
-        shares={**maps, **cfg.ablation.shares},
+        shares=own | named,
         inputs=dict(cfg.inputs),
         outputs={"prepare": cfg.prepare.out},
         command=" ".join(["python train.py", *(words or [f"experiment={cfg.name}"])]),

@@ -18,6 +18,7 @@ from gensp.errors import OutputError, Unsupported
 from gensp.machine import first_process
 from gensp.occupancy import occupied
 from gensp.runs import Progress, Run, Runs, clear, require_own, restart, tidy
+from gensp.sweeps import named
 from gensp.terminal import announce, say, show_methods, show_variants
 
 _FULL_OR_FORBIDDEN = {
@@ -101,6 +102,7 @@ def run_stage(cfg: DictConfig, overrides: Sequence[str] = (), place: str = "") -
     require_values(cfg)
     name = cfg.stage.name
     runs = runs_of(cfg, overrides)
+    cfg = named(cfg)
     folder = runs.folder(name)
     inputs = {need: runs.open(need, needed_by=name) for need in cfg.stage.needs}
     settings = settings_of(cfg, inputs)

@@ -58,6 +58,8 @@ class FitStage(Stage):
         self.learning_rate = learning_rate
         self.seed = seed
         self.history: list[dict[str, float]] = []
+        # What a callback has measured at the end of this epoch, for its row of the history.
+        self.measured: dict[str, float] = {}
 
     def configure_optimizers(self) -> dict[str, Any]:
         """Adam with a cosine that ends at zero after the last step."""
@@ -138,7 +140,9 @@ class FitStage(Stage):
             for name, value in self.trainer.callback_metrics.items()
             if name.startswith("train/")
         }
-        self.history.append({"epoch": self.current_epoch, "step": self.global_step, **means})
+        place = {"epoch": self.current_epoch, "step": self.global_step}
+        self.history.append({**place, **means, **self.measured})
+        self.measured = {}
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """The history travels with the weights."""

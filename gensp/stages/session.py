@@ -13,6 +13,7 @@ from lightning import LightningDataModule, Trainer
 
 from gensp.runs import CHECKPOINT, Run, seal
 from gensp.stages.base import Stage
+from gensp.stages.logged import log_pictures
 from gensp.terminal import report, say
 
 _MEANT_TO_BE_SO = (
@@ -84,6 +85,7 @@ def conclude(
         }
         for logger in trainer.loggers:
             logger.log_metrics({f"end/{name}": value for name, value in metrics.items()})
+            log_pictures(logger, module.folder / "pictures")
             logger.save()
         stage = settings["stage"]["name"]
         seal(module.folder, stage=stage, settings=settings, metrics=metrics, facts=facts)
