@@ -137,7 +137,7 @@ class DaskWorkers(ClusterWorkers):
 @contextmanager
 def _own_dask(distributed: Any, count: int) -> Iterator[Any]:
     dask = importlib.import_module("dask")
-    # A task whose worker died is handed back: what is done again, and beside what, is decided here.
+    # A task whose worker died is handed back: `shared_out` decides what is done again, and when.
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 0}),
         distributed.LocalCluster(

@@ -105,7 +105,7 @@ def test_a_missing_extra_names_the_command(
 
 def test_slurm_without_sbatch_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(GenSPError, match="compute=slurm: submitit cannot submit .* sbatch"):
+    with pytest.raises(GenSPError, match=r"compute=slurm: submitit cannot submit .* sbatch"):
         list(run_items(Trying(tmp_path), ITEMS, tmp_path, SlurmWorkers(logs=tmp_path / "logs")))
 
 

@@ -162,7 +162,7 @@ def test_a_row_that_a_dead_worker_left_counts(tmp_path: Path) -> None:
 
     workers = SimpleNamespace(count=lambda ranks: 4, pool=pool)
     items = list("abcdefg")
-    with pytest.warns(UserWarning):
+    with pytest.warns(UserWarning, match="here: a worker died"):
         pairs = dict(shared_out(str, items, workers, found=left.get, what="here"))
     assert pairs == {"a": 1, **dict.fromkeys("bcdefg", 2)}
     # Four may have been its death; none was: the others go on with half as many processes.

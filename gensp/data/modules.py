@@ -86,7 +86,7 @@ class ItemsModule(LightningDataModule):
 
 
 def places(trainer: Trainer | None) -> tuple[int, int, int]:
-    """This rank, the number of all ranks, and of those on this machine, which share its cores."""
+    """The own rank, the number of all ranks, and of those that share this machine's cores."""
     if trainer is None:
         return 0, 1, 1
     return trainer.global_rank, trainer.world_size, trainer.num_devices

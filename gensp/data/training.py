@@ -43,7 +43,8 @@ class Batching:
     Attributes
     ----------
     size
-        Shapes in a batch over all ranks, S_0 included.
+        Shapes in a batch over all ranks, S_0 included; accumulated gradients are those of as many
+        times more.
     points
         Samples (II) or icosphere vertices (III-b, IV) of every shape.
     surface_points
@@ -93,10 +94,14 @@ class FitModule(LightningDataModule):
         raise NotImplementedError
 
     def train_dataloader(self) -> DataLoader[Any]:
-        """The share of this rank of every epoch."""
-        trainer = self.trainer
-        rank, ranks = (trainer.global_rank, trainer.world_size) if trainer else (0, 1)
-        return epoch_loader(self._loaded, batch_size=self.batching.size, rank=rank, ranks=ranks)
+        """The share of this rank of every epoch.
+
+        K accumulated batches are one of K times the shapes, S_0 once, in K micro-batches.
+        """
+        rank, ranks, _ = places(self.trainer)
+        micro = self.trainer.accumulate_grad_batches if self.trainer else 1
+        size = self.batching.size * micro
+        return epoch_loader(self._loaded, batch_size=size, micro=micro, rank=rank, ranks=ranks)
 
 
 class SdfModule(FitModule):
