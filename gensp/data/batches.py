@@ -127,9 +127,7 @@ class EpochDataset(Dataset[Any], Generic[BatchT]):
             return which
         return list(self.micros([(0, index) for index in range(self.count)]))[which]
 
-    def _named(
-        self, opening: Key, keys: Sequence[Key]
-    ) -> tuple[list[int], list[torch.Generator]]:
+    def _named(self, opening: Key, keys: Sequence[Key]) -> tuple[list[int], list[torch.Generator]]:
         """Items, S_0 first, and the random numbers of each; those of S_0 are the step's."""
         items = [0] + [1 + index % (len(self.ids) - 1) for _, index in keys]
         return items, [self._generator(*opening, 0), *(self._generator(*key, 1) for key in keys)]

@@ -1,4 +1,4 @@
-"""Two processes on the CPU: one folder, the results of one process."""
+"""Two processes on the CPU, or accumulated gradients: one folder, the results of one batch."""
 
 import csv
 import json
@@ -88,6 +88,49 @@ def test_two_ranks_that_were_killed_go_on_to_the_same_bits(
     folder = smoke_copy / "smoke" / "full" / stage
     shutil.rmtree(folder)
     words = (*short_words(stage, smoke_copy), "trainer=ddp_cpu")
+    kill_in_the_middle(folder, *words)
+    assert begun(folder)
+    assert not (folder / "manifest.json").exists(), "killed too late to be of use"
+    assert "resumed from its last checkpoint" in train(*words).stdout
+    assert different(folder, whole) == []
+
+
+# Half of what the recipe has, twice.
+HALVED = {"implicit": 4, "initialize": 4, "finetune": 4}
+
+
+def accumulated(stage: str) -> tuple[str, ...]:
+    return (f"recipe.{stage}.batch={HALVED[stage]}", "trainer.accumulate_grad_batches=2")
+
+
+@pytest.mark.parametrize("stage", list(SHORT))
+def test_accumulated_gradients_train_as_one_batch_does(stage: str, smoke_copy: Path) -> None:
+    folder, words = smoke_copy / "smoke" / "full" / stage, short_words(stage, smoke_copy)
+    run_here(*words, f"recipe.{stage}.batch={2 * HALVED[stage]}", "force=true")
+    expected = losses(folder)
+    run_here(*words, *accumulated(stage), "force=true")
+    found = losses(folder)
+    assert found.keys() == expected.keys()
+    for name, values in expected.items():
+        np.testing.assert_allclose(found[name], values, rtol=0, atol=1e-6, err_msg=name)
+
+
+def test_two_ranks_accumulate_as_one_batch_does(smoke_copy: Path) -> None:
+    stage = "finetune"
+    folder, words = smoke_copy / "smoke" / "full" / stage, short_words(stage, smoke_copy)
+    run_here(*words, f"recipe.{stage}.batch={2 * HALVED[stage]}", "force=true")
+    expected = losses(folder)
+    train(*words, *accumulated(stage), "trainer=ddp_cpu", "force=true")
+    for name, values in losses(folder).items():
+        np.testing.assert_allclose(values, expected[name], rtol=0, atol=1e-6, err_msg=name)
+
+
+def test_accumulation_that_was_killed_goes_on_to_the_same_bits(smoke_copy: Path) -> None:
+    stage = "implicit"
+    folder = smoke_copy / "smoke" / "full" / stage
+    words = (*short_words(stage, smoke_copy), *accumulated(stage))
+    run_here(*words, "force=true")
+    whole = Path(shutil.move(folder, smoke_copy / "whole"))
     kill_in_the_middle(folder, *words)
     assert begun(folder)
     assert not (folder / "manifest.json").exists(), "killed too late to be of use"
