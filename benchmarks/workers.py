@@ -3,9 +3,10 @@
 OMP_NUM_THREADS=1 python benchmarks/workers.py                    # maps of the quadrupeds
 OMP_NUM_THREADS=1 python benchmarks/workers.py --work flows --count 20
 
-Starting workers (imports, cached compiled loops) is measured apart, with items that do nothing. Wall
-seconds are those of a quiet machine only. Processor seconds are not: "by processor" is what two
-processes would gain if nothing else ran, the seconds of one process over those of the busier of two.
+Starting workers (imports, cached compiled loops) is measured apart, with items that do nothing.
+Wall seconds are those of a quiet machine only. Processor seconds are not: "gain by processor" is
+what several processes would gain if nothing else ran, the seconds of one process over those of the
+busiest of them.
 """
 
 import argparse

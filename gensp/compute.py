@@ -177,9 +177,8 @@ def shared_out(
 ) -> Iterator[tuple[str, Any]]:
     """Pairs of an item and what its work gives, as they end; None for one given up.
 
-    When a worker dies, the items that may have been its death are done again one at a time, the
-    others with half as many processes if none of those was at fault: then it was the want of
-    memory of all, or a hand from outside.
+    When a worker dies, the items that may have been its death are done again one at a time, and
+    the others with half as many processes unless one of those was at fault.
 
     Parameters
     ----------
@@ -204,15 +203,17 @@ def shared_out(
                     del waiting[item]
                     yield item, result
             except WorkerDied as death:
-                warnings.warn(f"{what}: a worker died; its items are done again", stacklevel=2)
-                settled = _taken_up(pool, list(waiting), found, death.suspects, count)
+                _warn(what)
+                settled, count = _taken_up(pool, list(waiting), found, death.suspects, count)
                 for item, result in settled:
                     del waiting[item]
                     yield item, result
-                if death.suspects and all(result is not None for _, result in settled):
-                    count = max(1, count // 2)
             barren = barren + 1 if len(waiting) == before else 0
             _require_progress(barren, what)
+
+
+def _warn(what: Path | str) -> None:
+    warnings.warn(f"{what}: a worker died; its items are done again", stacklevel=3)
 
 
 def _taken_up(
@@ -220,14 +221,19 @@ def _taken_up(
     items: Sequence[str],
     found: Callable[[str], Any],
     suspects: Sequence[str],
-    most: int,
-) -> list[tuple[str, Any]]:
-    """What dead workers left of the items, and what comes of those that may have killed them."""
+    count: int,
+) -> tuple[list[tuple[str, Any]], int]:
+    """What dead workers left, what comes of the items that may have killed them; the next count.
+
+    If none of these did, it was the want of memory of all together, or a hand from outside.
+    """
     left = [(item, found(item)) for item in items]
     missing = {item for item, result in left if result is None}
-    again = [item for item in suspects if item in missing][:most]
+    again = [item for item in suspects if item in missing][:count]
+    judged = [(item, _alone(pool, item, found)) for item in again]
+    innocent = suspects and all(result is not None for _, result in judged)
     settled = [(item, result) for item, result in left if result is not None]
-    return settled + [(item, _alone(pool, item, found)) for item in again]
+    return settled + judged, max(1, count // 2) if innocent else count
 
 
 def _alone(pool: Pool, item: str, found: Callable[[str], Any]) -> Any:

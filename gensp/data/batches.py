@@ -54,8 +54,8 @@ class CorrespondenceBatch:
     """Stages III-b and IV: n icosphere vertices of each shape and where they belong on it.
 
     `valid` tells which targets are known; `surface` are k area-uniform points of the shape;
-    `drawn` names the clouds; `first`, `weight` and `known_weight` are this part's share of the loss
-    as a mean over shapes and over valid targets; `ends` tells the last micro-batch of a step.
+    `drawn` names the clouds; `first`, `weight` and `known_weight` are this part's share of the
+    loss, as a mean over shapes and over valid targets; `ends` tells a step's last micro-batch.
     """
 
     ids: list[str]
@@ -112,7 +112,7 @@ class EpochDataset(Dataset[Any], Generic[BatchT]):
             yield from (Micro(step, number) for number in range(self.micro))
 
     def __getitem__(self, which: Micro | int) -> BatchT:
-        """This rank's part of a micro-batch: S_0 and some of the step's items."""
+        """The rank's part of a micro-batch: S_0 and some of the step's items."""
         micro = self._micro(which)
         keys, parts = micro.keys, self.ranks * self.micro
         part = micro.number * self.ranks + self.rank
@@ -184,7 +184,7 @@ def epoch_loader(
     rank: int = 0,
     ranks: int = 1,
 ) -> DataLoader[BatchT]:
-    """This rank's part of every micro-batch of an epoch.
+    """The rank's part of every micro-batch of an epoch.
 
     Lightning sets the sampler's epoch.
 
