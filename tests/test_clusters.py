@@ -1,12 +1,16 @@
 """Items over dask, ray and submitit, each on this machine."""
 
 import os
+import shutil
 import signal
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import distributed
 import pytest
+from commands import smoke_words, train
+from compare import different
 
 from gensp.clusters import DaskWorkers, RayWorkers, SlurmWorkers, needed
 from gensp.compute import Row, Workers, run_items, stored_rows
@@ -101,6 +105,32 @@ def test_a_missing_extra_names_the_command(
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(MissingData, match=rf"type: pip install 'gensp\[{extra}\]'"):
         list(run_items(Trying(tmp_path), ITEMS, tmp_path, workers))
+
+
+@pytest.mark.parametrize("compute", ["dask", "submitit_local"])
+def test_a_stage_is_the_same_wherever_it_is_made(
+    compute: str, smoke: Path, smoke_copy: Path
+) -> None:
+    folder = smoke_copy / "smoke" / "full" / "augment"
+    shutil.rmtree(folder)
+    train(*smoke_words(smoke_copy), "stage=augment", f"compute={compute}")
+    assert different(folder, smoke / "smoke" / "full" / "augment") == []
+
+
+def test_a_scheduler_that_runs_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
+    options = {"threads_per_worker": 1, "dashboard_address": None}
+    with distributed.LocalCluster(n_workers=2, **options) as cluster:
+        workers = DaskWorkers(address=cluster.scheduler_address.removeprefix("tcp://"))
+        assert workers.count() == 2
+        assert workers.count(ranks=2) == 1
+        task = Trying(tmp_path, once=("b@3",))
+        rows = list(run_items(task, ITEMS, tmp_path / "run", workers))
+    assert [row["id"] for row in rows if "error" in row] == ["bad"]
+    with distributed.LocalCluster(n_workers=0, **options) as cluster:
+        workers = DaskWorkers(address=cluster.scheduler_address)
+        with pytest.raises(GenSPError, match=r"the scheduler has no workers; .* workers\.jobs=N"):
+            workers.count()
 
 
 def test_slurm_without_sbatch_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

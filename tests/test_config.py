@@ -220,6 +220,7 @@ def test_where_work_runs_decides_no_number(compute: str) -> None:
     words = ("stage=correspond", "recipe=smoke")
     elsewhere = composed(*words, f"compute={compute}", "workers.jobs=3")
     assert elsewhere.data.workers.jobs == 3
+    assert "compute" not in elsewhere
     assert settings_of(elsewhere, {}) == settings_of(composed(*words), {})
 
 

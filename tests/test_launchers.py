@@ -2,10 +2,13 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from commands import smoke_words, train
 
+from gensp.compute import Row, Workers
+from gensp.data.modules import ItemsModule
 from gensp.errors import Unsupported
 from gensp.ranks import require_startable, started_outside
 
@@ -64,6 +67,23 @@ def test_one_task_of_slurm_has_no_ranks(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setenv("SLURM_JOB_NAME", "bash")
     assert started_outside() is None
     require_startable(DDP, stage="implicit", sweep=False)
+
+
+def row(item: str) -> Row:
+    return {"id": item}
+
+
+def test_ranks_share_all_items_and_the_cores_of_their_machine(tmp_path: Path) -> None:
+    items = [f"item{k}" for k in range(10)]
+    seen = []
+    for rank in range(4):
+        data = ItemsModule(task=row, items=items, folder=tmp_path, workers=Workers(8))
+        # Two machines of two ranks each.
+        data.trainer = SimpleNamespace(global_rank=rank, world_size=4, num_devices=2)
+        rows = data.predict_dataloader().dataset
+        assert rows.workers.count(rows.ranks) == 4
+        seen += rows.items
+    assert sorted(seen) == sorted(items)
 
 
 SUBMITTED = ("-m", "hydra/launcher=submitit_local", "hydra.launcher.timeout_min=10")

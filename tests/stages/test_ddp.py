@@ -3,6 +3,7 @@
 import csv
 import json
 import shutil
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -166,3 +167,27 @@ def test_torchrun_walks_stages_in_step(smoke: Path, smoke_copy: Path) -> None:
         assert_shared_out(stage, smoke_copy, smoke)
     assert len(losses(run / "implicit")["train/data"]) == 4
     assert done.stdout.count("] implicit") == 1
+
+
+def free_port() -> int:
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        return int(listening.getsockname()[1])
+
+
+def test_two_machines_share_out_items(smoke: Path, smoke_copy: Path) -> None:
+    """Two launchers of one rank each, as on two machines."""
+    shutil.rmtree(smoke_copy / "smoke" / "full" / "augment")
+    place = ("--master-addr", "127.0.0.1", "--master-port", str(free_port()))
+    words = ("stage=augment", "trainer=ddp_cpu", "trainer.num_nodes=2", "trainer.devices=1")
+    machines = [
+        subprocess.Popen(
+            [sys.executable, "-m", "torch.distributed.run", "--nnodes", "2", *place]
+            + ["--node-rank", str(node), "train.py", *smoke_words(smoke_copy), *words],
+            cwd=ROOT,
+            env=environment(),
+        )
+        for node in range(2)
+    ]
+    assert [machine.wait(timeout=300) for machine in machines] == [0, 0]
+    assert_shared_out("augment", smoke_copy, smoke)
