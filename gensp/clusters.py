@@ -9,6 +9,7 @@ import os
 import socket
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
@@ -113,6 +114,9 @@ class DaskWorkers(ClusterWorkers):
                 place: Any = self.address if "//" in self.address else f"tcp://{self.address}"
             else:
                 place = stack.enter_context(_own_dask(distributed, count))
+            # What its client logs of a lost connection is said here in one line.
+            for name in ("distributed.client", "distributed.core", "tornado.application"):
+                logging.getLogger(name).setLevel(logging.CRITICAL)
             yield stack.enter_context(distributed.Client(place, timeout=_PATIENCE))
 
     @contextmanager
@@ -131,7 +135,13 @@ class DaskWorkers(ClusterWorkers):
             def result(future: Any) -> Any:
                 return future.result()
 
-            yield partial(_by_futures, begin, first, result, distributed.KilledWorker)
+            try:
+                yield partial(_by_futures, begin, first, result, distributed.KilledWorker)
+            except CancelledError:
+                raise GenSPError(
+                    f"{client.scheduler.address}: compute=dask: the scheduler was lost; start it "
+                    "again and run the same command to go on"
+                ) from None
 
 
 @contextmanager

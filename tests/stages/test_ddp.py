@@ -179,11 +179,12 @@ def test_two_machines_share_out_items(smoke: Path, smoke_copy: Path) -> None:
     """Two launchers of one rank each, as on two machines."""
     shutil.rmtree(smoke_copy / "smoke" / "full" / "augment")
     place = ("--master-addr", "127.0.0.1", "--master-port", str(free_port()))
-    words = ("stage=augment", "trainer=ddp_cpu", "trainer.num_nodes=2", "trainer.devices=1")
+    launcher = ("-m", "torch.distributed.run", "--nnodes", "2", *place)
+    ranks = ("trainer=ddp_cpu", "trainer.num_nodes=2", "trainer.devices=1")
+    words = (*smoke_words(smoke_copy), "stage=augment", *ranks)
     machines = [
         subprocess.Popen(
-            [sys.executable, "-m", "torch.distributed.run", "--nnodes", "2", *place]
-            + ["--node-rank", str(node), "train.py", *smoke_words(smoke_copy), *words],
+            [sys.executable, *launcher, f"--node-rank={node}", "train.py", *words],
             cwd=ROOT,
             env=environment(),
         )
