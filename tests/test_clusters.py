@@ -4,6 +4,7 @@ import os
 import shutil
 import signal
 import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,6 +38,21 @@ class Trying:
             mark.touch()
             os.kill(os.getpid(), signal.SIGKILL)
         return {"id": item, "process": os.getpid(), "threads": os.environ.get("OMP_NUM_THREADS")}
+
+
+@dataclass(frozen=True)
+class Ending:
+    """Kills the task of the array that its process belongs to, once."""
+
+    folder: Path
+
+    def __call__(self, item: str) -> Row:
+        mark = self.folder / "ended"
+        if item == "e" and not mark.exists():
+            mark.touch()
+            os.kill(os.getppid(), signal.SIGKILL)
+            time.sleep(3)
+        return {"id": item}
 
 
 def fault(item: str) -> Row:
@@ -74,6 +90,14 @@ def test_every_item_has_its_row_whoever_dies(workers: Workers, tmp_path: Path) -
     # Finished before: nobody is asked.
     kept = list(run_items(Trying(tmp_path), ["a", "e"], tmp_path / "run", workers))
     assert kept == [stored["a"], stored["e"]]
+
+
+@pytest.mark.parametrize("workers", ["slurm"], indirect=True)
+def test_an_array_is_followed_by_one_of_what_is_left(workers: Workers, tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match="a worker died"):
+        rows = list(run_items(Ending(tmp_path), ITEMS, tmp_path / "run", workers))
+    assert sorted(str(row["id"]) for row in rows) == ITEMS
+    assert not any("error" in row for row in stored_rows(tmp_path / "run"))
 
 
 @pytest.mark.parametrize("workers", ["dask", "ray", "slurm"], indirect=True)

@@ -6,10 +6,12 @@ from types import SimpleNamespace
 
 import pytest
 from commands import smoke_words, train
+from hydra.errors import MissingConfigException
 
 from gensp.compute import Row, Workers
 from gensp.data.modules import ItemsModule
 from gensp.errors import Unsupported
+from gensp.mistakes import hydra_line
 from gensp.ranks import require_startable, started_outside
 
 OUTSIDE = ("TORCHELASTIC_RUN_ID", "SLURM_NTASKS", "SLURM_JOB_NAME", "SLURM_NTASKS_PER_NODE")
@@ -84,6 +86,14 @@ def test_ranks_share_all_items_and_the_cores_of_their_machine(tmp_path: Path) ->
         assert rows.workers.count(rows.ranks) == 4
         seen += rows.items
     assert sorted(seen) == sorted(items)
+
+
+def test_a_launcher_that_is_not_installed_names_the_command() -> None:
+    error = MissingConfigException("", "hydra/launcher/submitit_slurm", ["basic"])
+    assert hydra_line(error) == (
+        "hydra/launcher=submitit_slurm: the package 'hydra-submitit-launcher' is not installed; it "
+        "is required; type: pip install 'gensp[slurm]'"
+    )
 
 
 SUBMITTED = ("-m", "hydra/launcher=submitit_local", "hydra.launcher.timeout_min=10")
