@@ -91,8 +91,8 @@ def test_ranks_share_all_items_and_the_cores_of_their_machine(tmp_path: Path) ->
 def test_a_launcher_that_is_not_installed_names_the_command() -> None:
     error = MissingConfigException("", "hydra/launcher/submitit_slurm", ["basic"])
     assert hydra_line(error) == (
-        "hydra/launcher=submitit_slurm: the package 'hydra-submitit-launcher' is not installed; it "
-        "is required; type: pip install 'gensp[slurm]'"
+        "hydra/launcher=submitit_slurm: the package 'hydra-submitit-launcher' is not installed; "
+        "it is required; type: pip install 'gensp[slurm]'"
     )
 
 
