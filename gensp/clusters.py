@@ -1,4 +1,4 @@
-"""Items on many machines: dask, ray, and job arrays of SLURM, each an extra of the package.
+"""Items on many machines by dask and ray, each an extra of the package.
 
 The run folder must be the same folder on all of them: a worker writes the files of its items.
 """
@@ -8,17 +8,16 @@ import logging
 import os
 import socket
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
-from dataclasses import dataclass, field
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from functools import partial
 from itertools import islice
-from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from gensp.compute import Pool, Work, WorkerDied, Workers, WorkOf, shared_out
+from gensp.compute import Pool, Work, WorkerDied, Workers, WorkOf
 from gensp.errors import GenSPError, MissingData
 
 _PATIENCE = 10  # seconds in which a scheduler must answer
@@ -172,7 +171,8 @@ class RayWorkers(ClusterWorkers):
         # Without a word on what ray sends home.
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         ray = needed("ray", "ray")
-        where: dict[str, Any] = {"num_cpus": count, "include_dashboard": False}
+        # "local" is a new one, also where another runs on this machine.
+        where: dict[str, Any] = {"address": "local", "num_cpus": count, "include_dashboard": False}
         if self.address is not None:
             require_answer(self.address, "ray", "ray start --head")
             where = {"address": self.address}
@@ -235,95 +235,3 @@ def _by_futures(
             yield item, ended
     if suspects:
         raise WorkerDied(suspects)
-
-
-@dataclass(frozen=True)
-class SlurmWorkers(Workers):
-    """Tasks of a job array, each of which goes over its share of the items.
-
-    Attributes
-    ----------
-    jobs
-        Processes of every task.
-    tasks
-        Tasks of the array.
-    cluster
-        submitit's name of what runs them: slurm, or local for processes of this machine.
-    minutes, memory_gb
-        Limits of a task; no memory: the cluster's own.
-    parameters
-        Further parameters of submitit, such as slurm_partition.
-    logs
-        Where submitit keeps its files; to be seen by all machines.
-    """
-
-    jobs: int = 1
-    tasks: int = 8
-    cluster: str = "slurm"
-    minutes: int = 240
-    memory_gb: float | None = None
-    parameters: Mapping[str, Any] = field(default_factory=dict)
-    logs: Path | str = "runs/submitit"
-
-    def count(self, ranks: int = 1) -> int:
-        """Tasks of the array of each rank."""
-        return max(1, self.tasks // ranks)
-
-    def pool(self, work: WorkOf, count: int) -> AbstractContextManager[Pool]:
-        """Job arrays, one for every pass over the items."""
-        return nullcontext(partial(_by_array, self, self._executor(), work))
-
-    def _executor(self) -> Any:
-        submitit = needed("submitit", "slurm")
-        try:
-            executor = submitit.AutoExecutor(folder=str(self.logs), cluster=self.cluster)
-            executor.update_parameters(
-                name="gensp-items",
-                timeout_min=self.minutes,
-                cpus_per_task=max(1, self.jobs),
-                **({} if self.memory_gb is None else {"mem_gb": self.memory_gb}),
-                **self.parameters,
-            )
-        except (RuntimeError, ValueError, NameError, TypeError) as error:
-            raise GenSPError(
-                f"compute=slurm: submitit cannot submit ({' '.join(str(error).split())}); a "
-                "machine with sbatch is required; workers.cluster=local tries it on this one"
-            ) from None
-        return executor
-
-
-def _by_array(
-    workers: SlurmWorkers, executor: Any, work: WorkOf, items: Sequence[str], count: int
-) -> Iterator[tuple[str, Any]]:
-    """Every task takes up what dies in it; a task that dies itself is told at the end."""
-    submitit = needed("submitit", "slurm")
-    shares = [
-        {item: work(item) for item in items[k::count]} for k in range(min(count, len(items)))
-    ]
-    own = Workers(jobs=max(1, workers.jobs), isolated=True)
-    jobs = executor.map_array(partial(run_share, own), shares)
-    died = False
-    try:
-        for job in submitit.helpers.as_completed(jobs):
-            try:
-                yield from job.result()
-            except submitit.core.utils.FailedJobError:
-                raise
-            except submitit.core.utils.UncompletedJobError:
-                died = True
-    finally:
-        for job in jobs:
-            if not job.done():
-                job.cancel()
-    if died:
-        raise WorkerDied
-
-
-def run_share(workers: Workers, share: Mapping[str, Work]) -> list[tuple[str, Any]]:
-    """What one task of an array does."""
-    done = shared_out(share.__getitem__, list(share), workers, found=_nothing, what="items")
-    return list(done)
-
-
-def _nothing(item: str) -> None:
-    """A task of an array does not know where its work leaves what."""

@@ -32,6 +32,7 @@ ALLOWED = {
     "pictures": CORE | {"geometry", "tables"},
 }
 ALLOWED["clusters"] = CORE | {"compute"}
+ALLOWED["arrays"] = CORE | {"compute", "clusters"}
 ALLOWED["ranks"] = CORE
 ALLOWED["benchmark"] = CORE | {"tables"}
 ALLOWED["comparison"] = CORE | {"tables", "benchmark", "pictures"}
