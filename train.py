@@ -28,8 +28,9 @@ def main(cfg: DictConfig) -> float | None:
     from gensp.run import run
 
     job = HydraConfig.get()
-    with one_line_errors(sweep=job.mode == RunMode.MULTIRUN):
-        return run(cfg, job.overrides.task)
+    sweep = job.mode == RunMode.MULTIRUN
+    with one_line_errors(sweep=sweep):
+        return run(cfg, job.overrides.task, sweep=sweep)
 
 
 if __name__ == "__main__":

@@ -105,16 +105,25 @@ def settings_of(cfg: DictConfig, inputs: Mapping[str, Run]) -> dict[str, Any]:
     bare.paths = {key: f"<{key}>" for key in cfg.paths}
     bare.workers = None
     trainer = OmegaConf.to_container(bare.trainer, resolve=True)
+    data = _without_workers(OmegaConf.to_container(bare.data, resolve=True))
+    _one_batch(data, trainer)
     # Only stages whose work names the collection read its files; the others see it by `inputs`.
     reads = "collection" in (cfg.data.get("task") or {})
     return {
         "stage": OmegaConf.to_container(bare.stage, resolve=True),
-        "data": _without_workers(OmegaConf.to_container(bare.data, resolve=True)),
+        "data": data,
         "trainer": {key: trainer.get(key) for key in _TRAINER_SCIENCE},
         "seed": cfg.seed,
         "shapes": made(cfg.shapes).fingerprint if reads else None,
         "inputs": {name: found.outputs for name, found in inputs.items()},
     }
+
+
+def _one_batch(data: dict[str, Any], trainer: dict[str, Any]) -> None:
+    """Accumulated batches are one: as with ranks, how it is shared out decides no number."""
+    if "batching" in data:
+        data["batching"]["size"] *= trainer["accumulate_grad_batches"]
+    trainer["accumulate_grad_batches"] = 1
 
 
 def _without_workers(node: Any) -> Any:

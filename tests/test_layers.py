@@ -31,12 +31,15 @@ ALLOWED = {
     "tables": CORE,
     "pictures": CORE | {"geometry", "tables"},
 }
+ALLOWED["clusters"] = CORE | {"compute"}
+ALLOWED["arrays"] = CORE | {"compute", "clusters"}
+ALLOWED["ranks"] = CORE
 ALLOWED["benchmark"] = CORE | {"tables"}
 ALLOWED["comparison"] = CORE | {"tables", "benchmark", "pictures"}
 ALLOWED["card"] = CORE | {"data", "geometry", "pictures", "tables"}
 ALLOWED["catalogue"] = CORE | {"runs", "tables"}
 ALLOWED["data.modules"] = ALLOWED["data"] | {"runs", "data"}
-ALLOWED["data.training"] = ALLOWED["data"] | {"runs", "data"}
+ALLOWED["data.training"] = ALLOWED["data"] | {"runs", "data", "data.modules"}
 ALLOWED["tasks"] = set(ALLOWED) - {"data.modules", "data.training"}
 ALLOWED["terminal"] = CORE | {"machine", "tables", "comparison"}
 ALLOWED["mistakes"] = CORE | {"terminal"}

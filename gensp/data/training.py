@@ -3,11 +3,10 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Self
 
-import joblib
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -15,7 +14,7 @@ from lightning import LightningDataModule
 from torch import Tensor
 from torch.utils.data import DataLoader
 
-from gensp.compute import Workers
+from gensp.compute import Workers, shared_out
 from gensp.data.batches import (
     CorrespondenceDataset,
     EpochDataset,
@@ -24,9 +23,10 @@ from gensp.data.batches import (
 )
 from gensp.data.clouds import SurfaceSampler, point_clouds, sphere_cloud
 from gensp.data.items import item_mesh, training_items
-from gensp.data.sdf import SdfSampler, cached_samples, sample_path
+from gensp.data.modules import places
+from gensp.data.sdf import SdfSampler, cached_samples, keep_samples, sample_path
 from gensp.data.shapes import SPHERE
-from gensp.errors import MissingData
+from gensp.errors import GenSPError, MissingData
 from gensp.files import load_npz
 from gensp.geometry.common_source import known_mean
 from gensp.geometry.mesh import Mesh
@@ -43,7 +43,8 @@ class Batching:
     Attributes
     ----------
     size
-        Shapes in a batch over all ranks, S_0 included.
+        Shapes in a batch over all ranks, S_0 included; accumulated gradients are those of as many
+        times more.
     points
         Samples (II) or icosphere vertices (III-b, IV) of every shape.
     surface_points
@@ -93,10 +94,14 @@ class FitModule(LightningDataModule):
         raise NotImplementedError
 
     def train_dataloader(self) -> DataLoader[Any]:
-        """The share of this rank of every epoch."""
-        trainer = self.trainer
-        rank, ranks = (trainer.global_rank, trainer.world_size) if trainer else (0, 1)
-        return epoch_loader(self._loaded, batch_size=self.batching.size, rank=rank, ranks=ranks)
+        """The share of this rank of every epoch.
+
+        K accumulated batches are one of K times the shapes, S_0 once, in K micro-batches.
+        """
+        rank, ranks, _ = places(self.trainer)
+        micro = self.trainer.accumulate_grad_batches if self.trainer else 1
+        size = self.batching.size * micro
+        return epoch_loader(self._loaded, batch_size=size, micro=micro, rank=rank, ranks=ranks)
 
 
 class SdfModule(FitModule):
@@ -122,6 +127,8 @@ class SdfModule(FitModule):
         self.sampler = sampler
         self.cache = Path(cache) / "sdf"
         self.workers = workers or Workers()
+        # The cache is seen by all machines, as the run folder is.
+        self.prepare_data_per_node = False
         extent = max([1.0, *(float(np.abs(mesh.vertices).max()) for mesh in meshes)])
         self.bound = math.ceil(11 * extent) / 10
 
@@ -135,18 +142,31 @@ class SdfModule(FitModule):
         return cls([item_mesh(augment, item.id) for item in items], **settings)
 
     def prepare_data(self) -> None:
-        """Fill the cache, on one rank, with all processes."""
-        missing = [
-            mesh
+        """Fill the cache, on the first rank, with all workers.
+
+        Raises
+        ------
+        GenSPError
+            Workers die of a shape.
+        """
+        paths = {
+            mesh.name: sample_path(mesh, self.sampler, self.bound, self.cache)
             for mesh in self.meshes
-            if not sample_path(mesh, self.sampler, self.bound, self.cache).is_file()
-        ]
-        count = min(self.workers.count(), len(missing))
-        if count:
-            backend = self.workers.backend if count > 1 else "sequential"
-            call = joblib.delayed(cached_samples)
-            calls = (call(mesh, self.sampler, self.bound, self.cache) for mesh in missing)
-            joblib.Parallel(n_jobs=count, backend=backend)(calls)
+        }
+        missing = {mesh.name: mesh for mesh in self.meshes if not paths[mesh.name].is_file()}
+        done = shared_out(
+            lambda id: partial(keep_samples, missing[id], self.sampler, self.bound, self.cache),
+            list(missing),
+            self.workers,
+            found=lambda id: paths[id] if paths[id].is_file() else None,
+            what=self.cache,
+        )
+        lost = [id for id, path in done if path is None]
+        if lost:
+            raise GenSPError(
+                f"{', '.join(lost)}: a worker died of its distance samples, often for want of "
+                "memory; lower recipe.implicit.sdf, or leave the shape out"
+            )
 
     def dataset(self) -> SdfDataset:
         """Pools of samples, read from the cache."""

@@ -48,7 +48,9 @@ class FitStage(Stage):
 
     Every step begins from a random state that depends on the seed and the step alone, so a resumed
     training equals an uninterrupted one. All ranks draw alike and share out what they drew:
-    several ranks train as one does, up to rounding.
+    several ranks train as one does, up to rounding. So do the micro-batches of a step whose
+    gradients are accumulated: they draw alike, and what is no mean over shapes is added in the
+    last of them, when the codes of all have been seen.
     """
 
     def __init__(
@@ -85,7 +87,7 @@ class FitStage(Stage):
             )
 
     def on_train_batch_start(self, batch: Any, batch_idx: int) -> None:
-        """Start the step from its own random state."""
+        """Start the step from its own random state, which its micro-batches share."""
         step = (self.seed * 1_000_003 + self.global_step) * 1_009
         seed_everything(step % 2**32, verbose=False)
 
@@ -117,6 +119,11 @@ class FitStage(Stage):
         rank, ranks = self.trainer.global_rank, self.trainer.world_size
         mine = len(range(rank, count, ranks))
         return slice(rank, None, ranks) if mine else slice(0, 1), ranks * mine / count
+
+    @property
+    def micro_batches(self) -> int:
+        """Over how many batches a step's gradients are accumulated; each weighs one of so many."""
+        return int(self.trainer.accumulate_grad_batches)
 
     def total(self, value: Tensor) -> Tensor:
         """The sum over all ranks."""
