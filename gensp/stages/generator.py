@@ -45,7 +45,7 @@ class GeneratorStage(FitStage):
         self.shared, self.kept_shapes = shared, kept_shapes
         self.encoder = encoder.train().requires_grad_(False)
         self.generator = generator.train()
-        self.encode = CloudCodes(encoder)
+        self.encode = CloudCodes(encoder, self.folder)
 
     def setup(self, stage: str) -> None:
         """Encode all items once."""
@@ -256,13 +256,21 @@ def shared_surface(folder: Path) -> dict[str, np.ndarray] | None:
 
 
 class Surfaces(dict[str, ClosestPointTree]):
-    """Closest-point trees of the items of a folder, built when first asked for."""
+    """Closest-point trees of the items of a folder, built when asked for.
 
-    def __init__(self, folder: Path) -> None:
+    The `kept` asked for last stay: a tree takes a megabyte, and longer to query than to build.
+    """
+
+    def __init__(self, folder: Path, kept: int = 64) -> None:
         super().__init__()
-        self.folder = folder
+        self.folder, self.kept = folder, kept
 
-    def __missing__(self, id: str) -> ClosestPointTree:
-        mesh = icosphere(5) if id == SPHERE else item_mesh(self.folder, id)
-        self[id] = ClosestPointTree(mesh)
-        return self[id]
+    def __getitem__(self, id: str) -> ClosestPointTree:
+        tree = self.pop(id) if id in self else self._built(id)
+        self[id] = tree
+        while len(self) > self.kept:
+            del self[next(iter(self))]
+        return tree
+
+    def _built(self, id: str) -> ClosestPointTree:
+        return ClosestPointTree(icosphere(5) if id == SPHERE else item_mesh(self.folder, id))

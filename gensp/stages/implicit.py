@@ -100,7 +100,7 @@ class ImplicitStage(FitStage):
         self.geometric_regularization = geometric_regularization
         self.regularize_from_epoch = regularize_from_epoch
         self.sampling = sampling
-        self.encode = CloudCodes(encoder)
+        self.encode = CloudCodes(encoder, self.folder)
         self.level_sets: list[LevelSet] = []
         self.extracted = -sampling.every
 
