@@ -19,6 +19,7 @@ from gensp.models import Atlas, Generator, PointNet2Encoder, jacobian, load_mode
 from gensp.runs import Run
 from gensp.stages.base import FitStage
 from gensp.stages.latents import CloudCodes, CodeTable, draws, save_codes
+from gensp.stages.speed import single_precision
 from gensp.tasks.correspond import is_input
 from gensp.tasks.pairing import SHARED
 
@@ -56,7 +57,7 @@ class GeneratorStage(FitStage):
     def correspondence(self, codes: Tensor, batch: CorrespondenceBatch) -> Tensor:
         """Eq. 10 over the shapes that count on this rank, with what it weighs among the ranks."""
         mine = slice(batch.first, None)
-        generated = self.generator(codes[mine], batch.sphere[mine])
+        generated = self.fast(self.generator)(codes[mine], batch.sphere[mine]).float()
         known = batch.valid[mine].sum() * (batch.weight > 0)
         share = self.trainer.world_size * known / self.total(known).clamp(min=1)
         return share * correspondence_loss(generated, batch.targets[mine], batch.valid[mine])
@@ -195,13 +196,14 @@ class FinetuneStage(GeneratorStage):
         codes = self._codes(batch)
         mine = slice(batch.first, None)
         p = self._turned_ball(random).to(codes).expand(len(codes[mine]), -1, -1)
-        generated = self.generator(codes[mine], p)
+        generated = self.fast(self.generator)(codes[mine], p).float()
         surfaces = [self.surfaces[id] for id in batch.ids[mine]]
         data = batch.weight * surface_loss(generated, surfaces)
         self.log_losses(data=data)
         loss = data + self._kept(codes, batch) + self._covered(generated, batch)
         if self.geometric_regularization:
-            deformation = self._deformation(random)
+            with single_precision(self.device):
+                deformation = self._deformation(random)
             loss = loss + self.deformation_weight * deformation
             self.log_losses(deformation=deformation)
         return loss
@@ -209,7 +211,7 @@ class FinetuneStage(GeneratorStage):
     def _codes(self, batch: CorrespondenceBatch) -> Tensor:
         if not self.train_encoder:
             return self.table.of(batch.ids)
-        codes = self.encode(batch.drawn, batch.clouds)
+        codes = self.encode(batch.drawn, batch.clouds).float()
         codes = codes - codes[:1]
         self.table.update(batch.ids, codes, self.total)
         return codes

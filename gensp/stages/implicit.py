@@ -15,6 +15,7 @@ from gensp.losses import encoder_penalty, implicit_deformation, origin_penalty, 
 from gensp.models import ImplicitField, PointNet2Encoder, save_model
 from gensp.stages.base import FitStage
 from gensp.stages.latents import CloudCodes, CodeTable, draws, save_codes
+from gensp.stages.speed import single_precision
 from gensp.terminal import warn
 
 _SHARE = "level_set_share"
@@ -110,11 +111,11 @@ class ImplicitStage(FitStage):
 
     def training_step(self, batch: SdfBatch, index: int) -> Tensor:
         """Eq. 9 and the penalty that holds S_0 at the origin."""
-        absolute = self.encode(batch.drawn, batch.clouds)
+        absolute = self.encode(batch.drawn, batch.clouds).float()
         codes = absolute - absolute[:1]
         self.table.update(batch.ids, codes, self.total)
         counted, mine = codes[batch.first :], slice(batch.first, None)
-        predicted = self.field(counted, batch.points[mine])
+        predicted = self.fast(self.field)(counted, batch.points[mine])
         data = batch.weight * sdf_loss(predicted, batch.distances[mine], self.norm)
         latents = (
             batch.weight * encoder_penalty(counted)
@@ -125,7 +126,8 @@ class ImplicitStage(FitStage):
         loss = data + self.encoder_weight * latents + self.origin_weight * origin
         self.log_losses(data=data, latents=latents, origin=origin)
         if self.geometric_regularization and self.current_epoch >= self.regularize_from_epoch:
-            deformation = self._deformation()
+            with single_precision(self.device):
+                deformation = self._deformation()
             self.log_losses(**{_SHARE: float(deformation is not None)})
             if deformation is not None:
                 loss = loss + self.deformation_weight * deformation
