@@ -2,15 +2,14 @@
 
 python benchmarks/streaming.py --out streaming
 
-A collection of `--shapes` generated blobs is repeated until it has `--sizes` items, each with files
-of its own. For every size and stage a fresh process trains `--steps` steps of recipe=quick's size; it
-prints the largest resident memory while it trained (`anon`: what cannot be read again from files;
-`all`: with mapped files and libraries), and the share of the steps' time for which the training
-waited for its next batch. An epoch has as many steps in all sizes (`passes`).
+A collection of `--shapes` generated blobs is repeated until it has `--sizes` items, each with
+files of its own. For every size and stage a fresh process trains `--steps` steps of the size of
+recipe=quick. Printed are the largest resident memory while it trained (`anon`: what cannot be read
+again from files; `all`: with mapped files and libraries), and the share of its time for which the
+training waited for its next batch. An epoch has as many steps in all sizes (`passes`).
 """
 
 import argparse
-import json
 import shutil
 import subprocess
 import sys
@@ -22,13 +21,14 @@ from typing import Any
 import numpy as np
 import torch
 from lightning import Callback, LightningDataModule, LightningModule, Trainer, seed_everything
+from rich.console import Console
 
 from gensp.data.batches import AheadLoader
 from gensp.data.blobs import BlobFamily, generate_blobs
 from gensp.data.items import item_path
 from gensp.data.sdf import SdfSampler
 from gensp.data.training import Batching, CorrespondenceModule, SdfModule
-from gensp.files import save_npz, write_json
+from gensp.files import read_json, save_npz, write_json
 from gensp.geometry.distance import closest_point
 from gensp.geometry.mesh import load_mesh, normalize
 from gensp.geometry.sphere import icosphere
@@ -204,17 +204,20 @@ def main() -> None:
     if given.one:
         name, size = given.one.split("/")
         folder, passes = given.out / size, max(1, largest // int(size))
-        print(json.dumps(measured(name, folder, int(size), passes, given.steps)))
+        row = measured(name, folder, int(size), passes, given.steps)
+        write_json(given.out / f"{name}-{size}.json", row)
         return
-    print(f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}", flush=True)
+    console = Console(file=sys.stdout, soft_wrap=True, highlight=False)
+    console.print(f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}", markup=False)
     for size in given.sizes:
         shutil.rmtree(given.out / str(size), ignore_errors=True)
         build(given.out / str(size), given.shapes, size)
         for name in given.stages:
             command = [sys.executable, *sys.argv, "--one", f"{name}/{size}"]
-            done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
-            row = json.loads(done.stdout.splitlines()[-1])
-            print(f"| {' | '.join(str(row[name]) for name in COLUMNS)} |", flush=True)
+            subprocess.run(command, check=True)
+            row = read_json(given.out / f"{name}-{size}.json")
+            line = " | ".join(str(row[column]) for column in COLUMNS)
+            console.print(f"| {line} |", markup=False)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
 """What makes a training faster and must not change what it learns: precision and compilation.
 
-Eqs. 5 and 12 are losses of derivatives, so their gradients are second derivatives: whatever the
-words say they are computed in single precision, which their linear solve needs, and uncompiled, for
-compiled functions have no second derivative. So is the encoder: its maxima would fall elsewhere.
+Eqs. 5 and 12 are losses of derivatives, so their gradients are second derivatives. Whatever the
+words say, they are computed in single precision, as their linear solve needs, and uncompiled, for
+compiled functions have no second derivative. The encoder is not compiled: its maxima would fall
+elsewhere.
 """
 
 import os
