@@ -18,6 +18,7 @@ import resource
 import sys
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from rich.console import Console
 
 from gensp.files import read_json, write_json
 from gensp.geometry import correspondence, neighbour_pairs
+from gensp.geometry.correspondence import spanning_tree
 from gensp.geometry.neighbour_pairs import degree_norms, nearest_pairs
 from gensp.geometry.rotation_registration import density_signal, register_rotation
 from gensp.geometry.sphere import icosphere
@@ -60,9 +62,9 @@ def spent() -> float:
     return sum(used.ru_utime + used.ru_stime for used in times)
 
 
-def stage_rows(out: Path, count: int, vertices: int) -> list[Row]:
+def stage_rows(out: Path, count: int, vertices: int, name: str = "") -> list[Row]:
     """Cost of all stages on one collection."""
-    name, rows = f"costs-{count}-{vertices}", []
+    name, rows = name or f"costs-{count}-{vertices}", []
     for stage in STAGES:
         words = [
             *(f"stage={stage}", f"name={name}", f"paths.runs={out}", *SHORT),
@@ -84,8 +86,8 @@ def measure(out: Path, counts: Sequence[int], vertices: Sequence[int]) -> None:
     """Write costs.json, a collection after the other; those that it has are kept."""
     path, least = out / "costs.json", min(counts)
     rows: list[Row] = read_json(path) if path.is_file() else []
-    if not rows:  # loops compile and files are read when first used
-        stage_rows(out, least, min(vertices))
+    # Loops are compiled and files are read when first used.
+    stage_rows(out, least, min(vertices), "costs-first")
     middle = sorted(vertices)[len(vertices) // 2]
     for size in [*((k, middle) for k in counts), *((least, n) for n in vertices)]:
         if not any((row["shapes"], row["vertices"]) == size for row in rows):
@@ -113,13 +115,13 @@ def pairs(out: Path) -> None:
     def note(what: str, count: int, work: Callable[[], object]) -> None:
         rows.append({"what": what, "shapes": count, "seconds": timed(work)})
 
-    for limit, counts in ((10**9, (500, 1000, 2000)), (0, (2000, 4000, 8000, 16000, 32000))):
+    for limit, counts in ((10**9, (500, 1000, 2000)), (0, (2000, 4000, 8000))):
         kind = "neighbours" if limit == 0 else "all pairs"
         correspondence.ALL_PAIRS = neighbour_pairs.ALL_PAIRS = limit
         for count in counts:
             codes = latent_codes(count)
-            note(f"minimum tree, {kind}", count, lambda: correspondence.spanning_tree(codes, 0))
-            note(f"nearest 4, {kind}", count, lambda: nearest_pairs(codes, 4))
+            note(f"minimum tree, {kind}", count, partial(spanning_tree, codes, 0))
+            note(f"nearest 4, {kind}", count, partial(nearest_pairs, codes, 4))
     rng, ball = np.random.default_rng(0), icosphere(3)
     middles = ball.vertices[ball.faces].mean(axis=1)
     signals = [
@@ -131,10 +133,10 @@ def pairs(out: Path) -> None:
         lambda: [register_rotation(signals[i], signals[j], candidates=1) for i, j in some]
     )
     rows.append({"what": "agreement of one pair of maps", "shapes": 2, "seconds": turns / 40})
-    for count in (1000, 2000, 4000, 8000):
+    for count in (1000, 2000, 4000):
         norms = degree_norms(signals)[rng.integers(20, size=count)]
         norms = np.abs(norms + 0.05 * rng.standard_normal(norms.shape))
-        note("candidates for agreement", count, lambda: nearest_pairs(norms, 64))
+        note("candidates for agreement", count, partial(nearest_pairs, norms, 64))
     write_json(out / "pairs.json", rows)
 
 
