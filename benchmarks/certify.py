@@ -1,6 +1,8 @@
 """Certified maps of all meshes of some folders on one core: how many, how distorted, how fast.
 
 OMP_NUM_THREADS=1 python benchmarks/certify.py data/heads/meshes data/quadrupeds/meshes
+
+With --maps the maps of a finished run are measured in place of new ones; `seconds` are of reading.
 """
 
 import argparse
@@ -14,12 +16,13 @@ from gensp.errors import BadMesh, GenSPError
 from gensp.files import atomic_path
 from gensp.geometry.mesh import FORMATS, load_mesh, require_genus_zero
 from gensp.geometry.sphere import icosphere
+from gensp.geometry.spherical_map import load_map
 from gensp.methods.table import DEFAULT, per_shape
 
 Row = dict[str, object]
 
 
-def line(path: Path, method: str) -> Row:
+def line(path: Path, method: str, maps: Path | None) -> Row:
     """One mesh: its map's certificate, distortion and processor seconds, or why there is none."""
     row: Row = {"mesh": f"{path.parent.parent.name}/{path.stem}"}
     try:
@@ -29,7 +32,7 @@ def line(path: Path, method: str) -> Row:
         return row | {"unusable": str(error)}
     start = time.process_time()
     try:
-        map = per_shape(method)(mesh)
+        map = per_shape(method)(mesh) if maps is None else load_map(maps / f"{path.stem}.npz")
     except GenSPError as error:
         return row | {"vertices": len(mesh.vertices), "failed": str(error)}
     distortion = map.distortion()
@@ -42,16 +45,18 @@ def line(path: Path, method: str) -> Row:
     }
 
 
+def growth(rows: list[Row]) -> str:
+    """How the seconds grow with the vertices, over all meshes."""
+    known = [[row["vertices"], row["seconds"]] for row in rows if "bijective" in row]
+    return f"seconds grow as n^{np.polyfit(*np.log(known).T, 1)[0]:.2f}"
+
+
 def summary(rows: list[Row]) -> str:
     """What the table says, in one line."""
     mapped = [row for row in rows if "bijective" in row]
-    growth = np.polyfit(*np.log([[r["vertices"], r["seconds"]] for r in mapped]).T, 1)[0]
     bijective = sum(bool(r["bijective"]) for r in mapped)
     failed, unusable = (sum(key in r for r in rows) for key in ("failed", "unusable"))
-    return (
-        f"{bijective} of {len(mapped)} maps bijective; {failed} failed; {unusable} unusable; "
-        f"seconds grow as n^{growth:.2f}"
-    )
+    return f"{bijective} of {len(mapped)} maps bijective; {failed} failed; {unusable} unusable"
 
 
 def compare(rows: list[Row], figures: Path) -> str:
@@ -81,6 +86,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("folders", type=Path, nargs="+", help="folders of meshes")
     parser.add_argument("--method", default=DEFAULT)
+    parser.add_argument("--maps", type=Path, help="folder maps/ of stage=parameterize")
     parser.add_argument("--out", type=Path, help="csv")
     parser.add_argument("--figures", type=Path, help="csv of other programs, see compare")
     words = parser.parse_args()
@@ -90,9 +96,11 @@ def main() -> None:
     ]
     rows = []
     for path in paths:
-        rows.append(line(path, words.method))
+        rows.append(line(path, words.method, words.maps))
         print(rows[-1], flush=True)  # noqa: T201
     print(summary(rows))  # noqa: T201
+    if words.maps is None:
+        print(growth(rows))  # noqa: T201
     if words.figures:
         print(compare(rows, words.figures))  # noqa: T201
     if words.out:

@@ -31,16 +31,13 @@ from gensp.pictures.curves import figure, save_figure
 from gensp.tasks.evaluate import predicted_surface
 
 GAMMAS = (1.0, 10.0, 30.0, 100.0, 300.0)
-FLOOR = 0.3
 Pair = tuple[str, str, SurfacePoints, SurfacePoints]
 T = TypeVar("T")
 
 
-def maps(
-    run: Path, collection: ShapeCollection, gamma: float, floor: float
-) -> dict[str, SphericalMap]:
+def maps(run: Path, collection: ShapeCollection, gamma: float) -> dict[str, SphericalMap]:
     """The maps of all predicted shapes at one γ."""
-    refine = CertifiedRefinement(pull=gamma, floor=floor)
+    refine = CertifiedRefinement(pull=gamma)
     found = {}
     for id in collection.ids():
         path = run / "predictions" / f"{id}.npz"
@@ -89,11 +86,9 @@ def unrefined(run: Path, collection: ShapeCollection) -> float:
     return mean_error(shapes, prediction_error, collection)
 
 
-def line(
-    run: Path, collection: ShapeCollection, gamma: float, floor: float, prediction: float
-) -> dict:
+def line(run: Path, collection: ShapeCollection, gamma: float, prediction: float) -> dict:
     """One line of the table; `prediction` is the error before refinement."""
-    found = maps(run, collection, gamma, floor)
+    found = maps(run, collection, gamma)
     distortions = [map.distortion() for map in found.values()]
     rungs = [map.diagnostics["rung"] for map in found.values()]
     return {
@@ -140,7 +135,6 @@ def main() -> None:
     parser.add_argument("run", type=Path, help="folder of a finished parameterize stage")
     parser.add_argument("collection", type=Path, help="folder of its meshes")
     parser.add_argument("--out", type=Path, required=True, help="path without suffix")
-    parser.add_argument("--floor", type=float, default=FLOOR, help="as recipe.refine.floor")
     parser.add_argument(
         "--gammas", type=float, nargs="*", default=GAMMAS, help="none: only the predictions"
     )
@@ -150,7 +144,7 @@ def main() -> None:
     print(f"error of the predictions: {prediction:.5f}", flush=True)  # noqa: T201
     lines: list[dict] = []
     for gamma in words.gammas:
-        lines.append(line(words.run, collection, gamma, words.floor, prediction))
+        lines.append(line(words.run, collection, gamma, prediction))
         print(lines[-1], flush=True)  # noqa: T201
         write(lines, words.out.with_suffix(".csv"))
     if lines:

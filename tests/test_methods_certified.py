@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from gensp.geometry.mesh import Mesh, normalize
-from gensp.geometry.refine import reliability
+from gensp.geometry.refine import reliability, shrinking
 from gensp.geometry.sphere import icosphere, unit
 from gensp.geometry.spherical_map import load_map, save_map
 from gensp.methods.hierarchical import ahsp, dirichlet, stretch
@@ -123,10 +123,26 @@ def test_reliability_falls_with_distance_and_folds(bumpy):
 
 
 def test_certified_agrees_with_newton_where_both_start_alike(legged, mapped):
-    """Two ladders with one first rung end in one map."""
+    """Two ladders with one first rung and one energy end in one map, where nothing pulls."""
     start = mapped.sphere
+    alike = {"energy": "sigma", "floor": 1.0, "tolerance": 1e-4, "pull": 0.0, "crowding": 0.0}
     both = [
-        refinement(pull=10.0, crowding=0.0)(legged, start, start)
+        refinement(**alike)(legged, start, start)
         for refinement in (NewtonRefinement, CertifiedRefinement)
     ]
     np.testing.assert_allclose(both[0].sphere, both[1].sphere, atol=1e-12)
+
+
+def test_limbs_are_held_as_firmly_as_the_body(legged, mapped, rng):
+    """A pull that grows with the shrinking leaves limbs less far away on the surface."""
+    shape = normalize(legged)
+    target = unit(mapped.sphere + 0.1 * np.sin(3 * mapped.sphere[:, [1, 2, 0]]))
+    shrunk = shrinking(mapped.sphere, shape)
+    limbs = shrunk > np.quantile(shrunk, 0.9)
+
+    def away(trust):
+        found = CertifiedRefinement(pull=10.0)(legged, target, target, trust)
+        return np.linalg.norm(found.sphere - target, axis=1)[limbs].mean()
+
+    everywhere_alike = np.minimum(1 / np.sqrt(shrinking(target, shape)), 1)
+    assert away(np.ones(len(target))) < away(everywhere_alike)

@@ -15,6 +15,7 @@ from gensp.geometry.predicates import bad_faces, spherical_areas
 from gensp.geometry.sphere import unit
 
 _POLISHING = 5
+_SHRINKING = (0.05, 200.0)  # outside, a prediction tells nothing but that it is wrong
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,32 @@ def reliability(
     around = np.bincount(corners, minlength=len(predicted))
     folded = np.bincount(corners, np.repeat(bad, 3), len(predicted)) / np.maximum(around, 1)
     return (1 - folded) / (1 + (distance / reach) ** 2)
+
+
+def shrinking(
+    sphere: Float[np.ndarray, "n 3"], mesh: Mesh, *, rings: int = 3
+) -> Float[np.ndarray, " n"]:
+    """How much smaller a map, folded or not, makes the surroundings of every vertex.
+
+    Area of the surface over that of the sphere, both summed over neighbourhoods that widen to
+    about `rings` edges, within `_SHRINKING`. Its root turns distances on the sphere into distances
+    on the surface.
+
+    Parameters
+    ----------
+    mesh
+        At area 4π.
+    """
+    count = len(mesh.vertices)
+    areas = np.stack([mesh.face_areas, np.abs(spherical_areas(sphere, mesh.faces))])
+    corners = mesh.faces.reshape(-1)
+    around = np.stack([np.bincount(corners, np.repeat(row, 3), count) for row in areas], axis=1)
+    spread = scipy.sparse.eye_array(count) + igl.adjacency_matrix(mesh.faces)
+    for _ in range(rings):
+        around = spread @ around
+    surface, covered = around.T
+    ratio: Float[np.ndarray, " n"] = surface / np.maximum(covered, surface / _SHRINKING[1])
+    return np.maximum(ratio, _SHRINKING[0])
 
 
 @dataclass(frozen=True)

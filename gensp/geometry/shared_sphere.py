@@ -72,7 +72,8 @@ def place_for_all(
     faces: Int[np.ndarray, "m 3"],
     start: Float[np.ndarray, "n 3"],
     *,
-    floor: float = 0.3,
+    energy: str = "sigma",
+    floor: float = 1.0,
     max_iterations: int = 100,
     tolerance: float = 1e-4,
 ) -> Refined:
@@ -84,12 +85,17 @@ def place_for_all(
         The shared triangulation on k shapes of area 4π.
     start
         Unit positions without bad faces.
+    energy, floor
+        Of `MetricEnergy`; by default what is reported of the maps.
 
     Raises
     ------
     NotEmbeddable
         The start has bad faces.
     """
-    energy = MetricEnergy(mean_squared_lengths(images, faces), faces, len(start), floor=floor)
+    squared = mean_squared_lengths(images, faces)
+    distortion = MetricEnergy(squared, faces, len(start), floor=floor, energy=energy)
     mesh = Mesh(images[0], faces, "shared surface")
-    return minimise_map(mesh, start, energy, max_iterations=max_iterations, tolerance=tolerance)
+    return minimise_map(
+        mesh, start, distortion, max_iterations=max_iterations, tolerance=tolerance
+    )

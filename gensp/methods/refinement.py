@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from gensp.errors import NotEmbeddable
-from gensp.geometry.embedding import Schedule, embed
+from gensp.geometry.embedding import embed
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.newton import Refined, refine_map
 from gensp.geometry.predicates import bad_faces, map_degree
-from gensp.geometry.refine import Untangled, untangle
+from gensp.geometry.refine import Untangled, shrinking, untangle
 from gensp.geometry.sphere import unit
 from gensp.geometry.spherical_energy import triangle_weights
 from gensp.geometry.spherical_map import SphericalMap
@@ -46,6 +46,8 @@ class NewtonRefinement:
     ----------
     pull
         γ, how strongly the map is held at the target; nothing pulls where there is no target.
+    energy
+        Of `compiled.energies.ENERGIES`.
     floor
         Faces smaller than this part of the mean area weigh as much as that in the energy. Weighed
         by their true area, the smallest faces take the largest distortion; weighed all alike
@@ -60,6 +62,7 @@ class NewtonRefinement:
     """
 
     pull: float = 30.0
+    energy: str = "dirichlet"
     floor: float = 0.3
     max_iterations: int = 150
     tolerance: float = 1e-4
@@ -85,7 +88,7 @@ class NewtonRefinement:
         began = time.perf_counter()
         shape, u = normalize(mesh), unit(start)
         bad = int(bad_faces(u, mesh.faces).sum())
-        pull = 0.0 if target is None else self._pull(trust)
+        pull = 0.0 if target is None else self._pull(shape, target, trust)
         found, rung = self._start(shape, u, target, pull, folded=bad > 0)
         refined = self._minimised(shape, found.sphere, target, pull)
         return finished(
@@ -101,7 +104,12 @@ class NewtonRefinement:
             },
         )
 
-    def _pull(self, trust: Float[np.ndarray, " n"] | None) -> float | Float[np.ndarray, " n"]:
+    def _pull(
+        self,
+        mesh: Mesh,
+        target: Float[np.ndarray, "n 3"],
+        trust: Float[np.ndarray, " n"] | None,
+    ) -> float | Float[np.ndarray, " n"]:
         """γ of the refinement: the same everywhere, however far the target is trusted."""
         return self.pull
 
@@ -149,6 +157,7 @@ class NewtonRefinement:
             target=target,
             pull=pull,
             weights=triangle_weights(mesh, self.floor),
+            energy=self.energy,
             max_iterations=self.max_iterations,
             tolerance=self.tolerance,
         )
@@ -162,16 +171,30 @@ class CertifiedRefinement(NewtonRefinement):
     the hierarchical embedding guided by the target. So it works where the prediction is folded,
     incomplete, or off by a limb's width, and what is handed out is always certified.
 
+    The last energy is that of `hierarchical.dirichlet`, which is what is reported. A limb is small
+    on the sphere, so that a step there is a long way on the surface: γ grows with the root of how
+    much the target shrinks the surroundings of a vertex.
+
     Attributes
     ----------
     untangle_up_to
         Share of folded faces up to which untangling is tried.
     """
 
+    pull: float = 30.0
+    energy: str = "sigma"
+    floor: float = 1.0
+    tolerance: float = 3e-4
     untangle_up_to: float = 0.01
 
-    def _pull(self, trust: Float[np.ndarray, " n"] | None) -> float | Float[np.ndarray, " n"]:
-        return self.pull if trust is None else self.pull * trust
+    def _pull(
+        self,
+        mesh: Mesh,
+        target: Float[np.ndarray, "n 3"],
+        trust: Float[np.ndarray, " n"] | None,
+    ) -> float | Float[np.ndarray, " n"]:
+        pull = self.pull * np.sqrt(shrinking(target, mesh))
+        return pull if trust is None else pull * trust
 
     def _start(
         self,
@@ -187,8 +210,7 @@ class CertifiedRefinement(NewtonRefinement):
                 return super()._start(mesh, u, target, pull, folded=folded)
             except NotEmbeddable:
                 pass  # the next rung needs no start
-        schedule = Schedule(floor=self.floor)
-        grown = embed(mesh, schedule=schedule, target=target, pull=pull)
+        grown = embed(mesh, target=target, pull=pull)
         return Untangled(grown, 0, True), HIERARCHICAL
 
 

@@ -16,7 +16,7 @@ from gensp.models import load_model
 from gensp.pretrained import FITS, FOLDER, LARGEST, TABLE, digest
 
 _KINDS = {f"{cls.__module__}.{cls.__name__}": kind for kind, cls in FITS.items()}
-_REFINE = ("pull", "floor", "max_iterations", "tolerance", "crowding")
+_REFINE = ("pull", "energy", "floor", "max_iterations", "tolerance", "crowding")
 
 
 def entry_of(maps: Path) -> dict[str, Any]:

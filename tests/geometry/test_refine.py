@@ -5,7 +5,7 @@ from gensp.geometry.alignment import ball_inversion
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.newton import refine_map
 from gensp.geometry.predicates import bad_faces, map_degree
-from gensp.geometry.refine import invert, thin_faces, untangle
+from gensp.geometry.refine import invert, shrinking, thin_faces, untangle
 from gensp.geometry.sphere import icosphere, tangent_frame, unit
 
 
@@ -110,3 +110,18 @@ def test_folded_prediction_becomes_a_refined_bijection(bumpy, rng):
     refined = refine_map(shape, untangled.sphere, target=predicted, pull=30.0)
     assert not bad_faces(refined.sphere, shape.faces).any()
     assert map_degree(refined.sphere, shape.faces) == 1
+
+
+def test_shrinking_is_the_ratio_of_areas():
+    """A Möbius map of the sphere shrinks by its own conformal factor; the identity does not."""
+    ball = normalize(icosphere(5))
+    u = unit(ball.vertices)
+    np.testing.assert_allclose(shrinking(u, ball), 1, rtol=2e-3)
+    factor = 2.0  # a dilation of the plane seen from the south pole
+    z = u[:, 2]
+    near, far = 1 + z, (1 - z) / factor**2
+    moved = np.stack([*(2 / factor * u[:, :2]).T, near - far], axis=1) / (near + far)[:, None]
+    exact = ((1 - z + factor**2 * (1 + z)) / (2 * factor)) ** 2
+    np.testing.assert_allclose(shrinking(moved, ball, rings=1), exact, rtol=0.05)
+    reversed_map = moved * [1, 1, -1]
+    np.testing.assert_allclose(shrinking(reversed_map, ball), shrinking(moved, ball), rtol=1e-9)

@@ -20,9 +20,9 @@ def test_of_one_shape_the_mean_metric_is_its_own(bumpy: Mesh) -> None:
 def test_of_one_shape_the_placement_is_its_refined_map(bumpy: Mesh) -> None:
     shape = normalize(bumpy)
     u = unit(bumpy.vertices)
-    placed = place_for_all(shape.vertices[None], shape.faces, u, floor=0.3)
-    weights = triangle_weights(shape, 0.3)
-    refined = refine_map(shape, u, weights=weights, max_iterations=100)
+    placed = place_for_all(shape.vertices[None], shape.faces, u)
+    weights = triangle_weights(shape, 1.0)
+    refined = refine_map(shape, u, weights=weights, energy="sigma", max_iterations=100)
     np.testing.assert_allclose(placed.energy, refined.energy, rtol=1e-9)
 
 
