@@ -5,15 +5,14 @@ python benchmarks/costs.py pairs --out costs
 python benchmarks/costs.py table --out costs --picture docs/gallery/costs.png
 
 `measure` carries out every stage of experiment=smoke, with few epochs and one worker, on generated
-blobs: once for each of `--counts` shapes, and of `--vertices` for the least count. `pairs` times
-what looks at pairs of shapes, complete and by neighbours. Every figure is processor time of one
-thread, so that other work on the machine hardly counts. `table` prints both as Markdown. An
-exponent p is that of a + b·nᵖ through three sizes that double, log₂((c₃ − c₂) / (c₂ − c₁)): what
-does not grow drops out.
+blobs: for each of `--counts` with the second of `--vertices`, and for all of these with the least
+count. `pairs` times what looks at pairs of shapes, complete and by neighbours. Every figure is
+processor time of one thread, so that other work on the machine hardly counts. `table` prints both
+as Markdown. An exponent p is that of b·nᵖ, fitted to all sizes; what a stage costs whatever the
+size lowers it.
 """
 
 import argparse
-import math
 import resource
 import sys
 import time
@@ -88,7 +87,7 @@ def measure(out: Path, counts: Sequence[int], vertices: Sequence[int]) -> None:
     rows: list[Row] = read_json(path) if path.is_file() else []
     # Loops are compiled and files are read when first used.
     stage_rows(out, least, min(vertices), "costs-first")
-    middle = sorted(vertices)[len(vertices) // 2]
+    middle = sorted(vertices)[1]
     for size in [*((k, middle) for k in counts), *((least, n) for n in vertices)]:
         if not any((row["shapes"], row["vertices"]) == size for row in rows):
             rows += stage_rows(out, *size)
@@ -140,10 +139,9 @@ def pairs(out: Path) -> None:
     write_json(out / "pairs.json", rows)
 
 
-def exponent(costs: Sequence[float]) -> float:
-    """Of the growing part of the last three costs, whose sizes double."""
-    first, second = np.diff(costs[-3:])
-    return math.log2(second / first) if min(first, second) > 0 else math.nan
+def exponent(sizes: Sequence[float], costs: Sequence[float]) -> float:
+    """Slope of the costs over the sizes, both as logarithms, by least squares."""
+    return float(np.polyfit(np.log(sizes), np.log(costs), 1)[0])
 
 
 def series(rows: Sequence[Row], along: str, stage: str, what: str) -> list[tuple[int, float]]:
@@ -166,7 +164,7 @@ def stage_table(rows: Sequence[Row], along: str) -> list[str]:
         for what, form in (("seconds", ".3g"), ("bytes", ",.0f")):
             costs = [cost for _, cost in series(rows, along, stage, what)]
             each = (costs[-1] - costs[0]) / (sizes[-1] - sizes[0])
-            cells.append((costs, f"{exponent(costs):.2f}", format(each, form)))
+            cells.append((costs, f"{exponent(sizes, costs):.2f}", format(each, form)))
         seconds = [f"{cost:.1f}" for cost in cells[0][0]]
         lines.append(f"| {' | '.join([stage, *seconds, *cells[0][1:], *cells[1][1:]])} |")
     return lines
@@ -178,7 +176,8 @@ def pair_table(rows: Sequence[Row]) -> list[str]:
     for what in dict.fromkeys(row["what"] for row in rows):
         chosen = [row for row in rows if row["what"] == what]
         costs = [row["seconds"] for row in chosen]
-        grows = f"{exponent(costs):.2f}" if len(costs) >= 3 else ""
+        sizes = [row["shapes"] for row in chosen]
+        grows = f"{exponent(sizes, costs):.2f}" if len(costs) > 1 else ""
         shown = ", ".join(f"{row['shapes']:,}: {row['seconds']:.3g}" for row in chosen)
         lines.append(f"| {what} | {shown} | {grows} |")
     return lines
@@ -207,8 +206,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("word", choices=("measure", "pairs", "table"))
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--counts", type=int, nargs=3, default=[4, 8, 16])
-    parser.add_argument("--vertices", type=int, nargs=3, default=[300, 600, 1200])
+    parser.add_argument("--counts", type=int, nargs="+", default=[4, 8, 16])
+    parser.add_argument("--vertices", type=int, nargs="+", default=[300, 600, 1200, 2400])
     parser.add_argument("--picture", type=Path)
     given = parser.parse_args()
     if given.word == "measure":
