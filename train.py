@@ -6,6 +6,7 @@ python train.py --help                             stages, groups, every setting
 """
 
 import os
+import sys
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -27,12 +28,17 @@ def main(cfg: DictConfig) -> float | None:
     from gensp.run import run
 
     job = HydraConfig.get()
-    with one_line_errors(sweep=job.mode == RunMode.MULTIRUN):
-        return run(cfg, job.overrides.task)
+    sweep = job.mode == RunMode.MULTIRUN
+    with one_line_errors(sweep=sweep):
+        return run(cfg, job.overrides.task, sweep=sweep)
 
 
 if __name__ == "__main__":
     from gensp.mistakes import one_line_words
 
     with one_line_words():
+        if {"-m", "--multirun"} & set(sys.argv):
+            from gensp.sweeps import with_swept
+
+            sys.argv[1:] = with_swept(sys.argv[1:])
         main()

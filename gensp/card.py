@@ -96,6 +96,7 @@ def _page(folder: Path, name: str, shapes: Sequence[Shape], sizes: Mapping[str, 
         *_section("Categories", ("category", *SPLITS), _categories(shapes)),
         *_section("Licences", ("licence", "source", "meshes"), _licences(shapes)),
         *_section("Preparation", ("verdict", "meshes"), _verdicts(folder)),
+        *_section("Surfaces that pass through themselves, as found", _CROSSING, _crossing(folder)),
         *_section("Left out", ("meshes", "reason"), _reasons(folder)),
     ]
     return "\n\n".join(parts) + "\n"
@@ -170,6 +171,24 @@ def _origin(source: str) -> str:
 def _verdicts(folder: Path) -> list[tuple[str, ...]]:
     counts = Counter(row.get("verdict", "") for row in _rows(folder / "prepared.csv"))
     return [(verdict, str(count)) for verdict, count in counts.most_common()]
+
+
+_CROSSING = ("verdict", "meshes", "of", "faces of one")
+
+
+def _crossing(folder: Path) -> list[tuple[str, ...]]:
+    """How many meshes of each verdict had self-intersections, and in how many faces."""
+    key = "self_intersecting_before"
+    rows = [row for row in _rows(folder / "prepared.csv") if row.get(key)]
+    found: dict[str, list[int]] = {}
+    for row in rows:
+        found.setdefault(row.get("verdict", ""), []).append(int(float(row[key])))
+    crossing = {verdict: [n for n in counts if n] for verdict, counts in found.items()}
+    return [
+        (verdict, str(len(some)), str(len(found[verdict])), _range(some))
+        for verdict, some in crossing.items()
+        if some
+    ]
 
 
 def _reasons(folder: Path) -> list[tuple[str, ...]]:

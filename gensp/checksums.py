@@ -8,6 +8,8 @@ from typing import Any
 from gensp.errors import DamagedFile
 
 MANIFEST = "manifest.json"
+# What loggers keep open, and may grow after the seal.
+LOGGED = {"logs", "wandb"}
 
 
 def listing(folder: Path) -> dict[str, dict[str, Any]]:
@@ -38,8 +40,7 @@ def require_intact(folder: Path, files: Mapping[str, Mapping[str, Any]], stage: 
     """
     for name, entry in files.items():
         path = folder / name
-        # What loggers keep open may grow after the seal.
-        if "logs" in name.split("/"):
+        if LOGGED & set(name.split("/")):
             continue
         if not path.is_file() or _file_hash(path) != entry["sha256"]:
             found = "was changed since" if path.is_file() else "is missing"

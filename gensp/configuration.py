@@ -15,6 +15,7 @@ from omegaconf.errors import InterpolationKeyError
 
 from gensp.errors import GenSPError, MissingData, Unsupported
 from gensp.runs import Run, Runs
+from gensp.sweeps import suffixes
 
 _TRAINER_SCIENCE = (
     "max_epochs",
@@ -83,11 +84,14 @@ def runs_of(cfg: DictConfig, overrides: Sequence[str] = ()) -> Runs:
     """The folders that a configuration reads and writes."""
     words = [word for word in overrides if not word.startswith(("stage=", "force=", "debug="))]
     maps = {"parameterize": cfg.method.variant, "evaluate": cfg.method.variant}
+    own = {**maps, **cfg.ablation.shares}
+    swept = suffixes(cfg)
+    named = {stage: own.get(stage, cfg.ablation.name) + more for stage, more in swept.items()}
     return Runs(
         root=Path(cfg.paths.runs),
         experiment=cfg.name,
         variant=cfg.ablation.name,
-        shares={**maps, **cfg.ablation.shares},
+        shares=own | named,
         inputs=dict(cfg.inputs),
         outputs={"prepare": cfg.prepare.out},
         command=" ".join(["python train.py", *(words or [f"experiment={cfg.name}"])]),
@@ -101,16 +105,25 @@ def settings_of(cfg: DictConfig, inputs: Mapping[str, Run]) -> dict[str, Any]:
     bare.paths = {key: f"<{key}>" for key in cfg.paths}
     bare.workers = None
     trainer = OmegaConf.to_container(bare.trainer, resolve=True)
+    data = _without_workers(OmegaConf.to_container(bare.data, resolve=True))
+    _one_batch(data, trainer)
     # Only stages whose work names the collection read its files; the others see it by `inputs`.
     reads = "collection" in (cfg.data.get("task") or {})
     return {
         "stage": OmegaConf.to_container(bare.stage, resolve=True),
-        "data": _without_workers(OmegaConf.to_container(bare.data, resolve=True)),
+        "data": data,
         "trainer": {key: trainer.get(key) for key in _TRAINER_SCIENCE},
         "seed": cfg.seed,
         "shapes": made(cfg.shapes).fingerprint if reads else None,
         "inputs": {name: found.outputs for name, found in inputs.items()},
     }
+
+
+def _one_batch(data: dict[str, Any], trainer: dict[str, Any]) -> None:
+    """Accumulated batches are one: as with ranks, how it is shared out decides no number."""
+    if "batching" in data:
+        data["batching"]["size"] *= trainer["accumulate_grad_batches"]
+    trainer["accumulate_grad_batches"] = 1
 
 
 def _without_workers(node: Any) -> Any:

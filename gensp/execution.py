@@ -14,7 +14,7 @@ from gensp.files import write_text
 from gensp.machine import first_process, forget_peak_memory
 from gensp.runs import Progress, Run, begin
 from gensp.stages.callbacks import WholeCheckpoints
-from gensp.stages.session import carry_out, close, conclude, quiet, threads
+from gensp.stages.session import carry_out, close, conclude, environments, quiet, threads
 from gensp.stages.speed import require_fast
 
 
@@ -73,5 +73,5 @@ def _trainer(cfg: DictConfig, folder: Path, loggers: list[Any]) -> Trainer:
         callbacks=callbacks,
         logger=loggers or False,
         default_root_dir=str(folder),
-        plugins=[WholeCheckpoints()],
+        plugins=[WholeCheckpoints(), *environments()],
     )

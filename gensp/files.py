@@ -113,6 +113,24 @@ def read_rows(path: Path | str) -> list[dict[str, str]]:
     return rows
 
 
+def read_yaml(path: Path | str) -> Any:
+    """Read a YAML file of plain values, such as the configuration of a run.
+
+    Raises
+    ------
+    DamagedFile
+        It is no YAML, or asks for objects.
+    """
+    # Imported late: hardly a command reads one.
+    import yaml
+
+    try:
+        return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    # Constructors of dates and numbers raise what they meet; the file is at fault in each case.
+    except (yaml.YAMLError, ValueError, TypeError, LookupError, RecursionError) as error:
+        raise DamagedFile(_damaged(path, "YAML", error)) from error
+
+
 def _plain(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()

@@ -56,6 +56,11 @@ def hydra_line(error: Exception) -> str:
     cause = error.__cause__
     if isinstance(error, MissingConfigException) and error.options:
         group, _, word = str(error.missing_cfg_file).rpartition("/")
+        if word.startswith("submitit"):
+            return (
+                f"{group}={word}: the package 'hydra-submitit-launcher' is not installed; it is "
+                "required; type: pip install 'gensp[slurm]'"
+            )
         return _unknown(f"{group}={word}", f"{group} has no '{word}'", word, error.options, group)
     if isinstance(error, ConfigCompositionException) and isinstance(cause, OmegaConfBaseException):
         key, parent = str(cause.full_key), cause.parent_node

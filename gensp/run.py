@@ -1,7 +1,6 @@
 """From a configuration to a finished stage, with the rules of restarting."""
 
 import errno
-import os
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -14,10 +13,12 @@ from omegaconf import DictConfig
 from gensp.checksums import require_intact
 from gensp.configuration import require_taken, require_values, runs_of, settings_of
 from gensp.data.raw import require_apart, require_rule
-from gensp.errors import OutputError, Unsupported
+from gensp.errors import OutputError
 from gensp.machine import first_process
 from gensp.occupancy import occupied
+from gensp.ranks import require_startable
 from gensp.runs import Progress, Run, Runs, clear, require_own, restart, tidy
+from gensp.sweeps import named
 from gensp.terminal import announce, say, show_methods, show_variants
 
 _FULL_OR_FORBIDDEN = {
@@ -26,20 +27,24 @@ _FULL_OR_FORBIDDEN = {
 }
 
 
-def run(cfg: DictConfig, overrides: Sequence[str] = ()) -> float | None:
+def run(cfg: DictConfig, overrides: Sequence[str] = (), *, sweep: bool = False) -> float | None:
     """Run the stage that the configuration names, or the whole pipeline.
 
     Parameters
     ----------
     overrides
         What was typed to get `cfg`; a pipeline composes its stages from it.
+    sweep
+        Whether this is one job of several.
 
     Raises
     ------
     Unsupported
-        A fit or a refinement was typed that the method does not take.
+        A fit or a refinement was typed that the method does not take, or Lightning would have to
+        start processes of its own where it cannot.
     """
     require_taken(cfg, overrides)
+    require_startable(cfg.trainer, stage=cfg.stage.name, sweep=sweep)
     require_rule(cfg.stage.name, cfg.shapes.get("on_bad"))
     if cfg.stage.name == "prepare":
         require_apart(cfg.prepare.out, cfg.shapes.get("root"))
@@ -49,14 +54,7 @@ def run(cfg: DictConfig, overrides: Sequence[str] = ()) -> float | None:
 
 
 def run_pipeline(cfg: DictConfig, overrides: Sequence[str] = ()) -> float | None:
-    """Run the stages of `cfg.pipeline` in order; returns the headline of the last.
-
-    Raises
-    ------
-    Unsupported
-        Lightning would have to start processes of its own in the middle.
-    """
-    _require_one_launcher(cfg)
+    """Run the stages of `cfg.pipeline` in order; returns the headline of the last."""
     typed = [entry for entry in overrides if not entry.startswith("stage=")]
     headline = None
     for number, entry in enumerate(cfg.pipeline, start=1):
@@ -71,17 +69,6 @@ def _without(typed: Sequence[str], entry: Sequence[str]) -> list[str]:
     """What was typed, but for the keys that a pipeline entry sets."""
     keys = {word.split("=", 1)[0] for word in entry}
     return [word for word in typed if word.split("=", 1)[0] not in keys]
-
-
-def _require_one_launcher(cfg: DictConfig) -> None:
-    several = str(cfg.trainer.get("strategy", "auto")).startswith("ddp")
-    outside = "TORCHELASTIC_RUN_ID" in os.environ or "SLURM_JOB_ID" in os.environ
-    if several and not outside:
-        raise Unsupported(
-            "stage=all: a trainer of several processes was found; they must exist before the "
-            "first stage; run one stage at a time (stage=implicit trainer=ddp), or start with: "
-            "torchrun --nproc-per-node N train.py ..."
-        )
 
 
 def run_stage(cfg: DictConfig, overrides: Sequence[str] = (), place: str = "") -> float | None:
@@ -101,6 +88,7 @@ def run_stage(cfg: DictConfig, overrides: Sequence[str] = (), place: str = "") -
     require_values(cfg)
     name = cfg.stage.name
     runs = runs_of(cfg, overrides)
+    cfg = named(cfg)
     folder = runs.folder(name)
     inputs = {need: runs.open(need, needed_by=name) for need in cfg.stage.needs}
     settings = settings_of(cfg, inputs)

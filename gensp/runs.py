@@ -13,7 +13,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from gensp.checksums import MANIFEST, listing
+from gensp.checksums import LOGGED, MANIFEST, listing
 from gensp.errors import DamagedFile, MissingStage, OutputError, StaleRun
 from gensp.files import content_hash, read_json, write_json
 from gensp.machine import environment, peak_memory
@@ -22,7 +22,7 @@ SETTINGS = "settings.json"
 CHECKPOINT = Path("checkpoints") / "last.ckpt"
 
 # How a run went, not what it found: times and paths, which differ from run to run.
-_ACCOUNTS = {SETTINGS, "config.yaml", "rows", "logs", "checkpoints"}
+_ACCOUNTS = {SETTINGS, "config.yaml", "rows", "checkpoints", *LOGGED}
 
 
 @dataclass(frozen=True)

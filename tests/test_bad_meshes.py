@@ -212,7 +212,7 @@ def test_checked_files_are_remembered_by_content(
         read.append(path.name)
         return Mesh(BALL.vertices, BALL.faces[1:])
 
-    monkeypatch.setattr("gensp.data.validation.load_mesh", load)
+    monkeypatch.setattr("gensp.geometry.mesh.load_mesh", load)
     again = ShapeCollection.from_folder(folder, on_bad="skip", cache=cache)
     assert again.ids() == first.ids()
     assert read == ["cup.obj", "ring.ply"]

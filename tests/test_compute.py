@@ -1,12 +1,26 @@
 """Items over workers: rows, skipping, failures, dead workers."""
 
 import os
+import signal
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from gensp.compute import Row, Workers, finished_row, row_path, run_items, stored_rows
+from gensp.compute import (
+    Row,
+    WorkerDied,
+    Workers,
+    finished_row,
+    row_path,
+    run_items,
+    shared_out,
+    stored_rows,
+)
 from gensp.errors import BadMesh, GenSPError, OutputError
 from gensp.runs import tidy
 
@@ -34,13 +48,11 @@ class Mark:
 
 @dataclass(frozen=True)
 class Fatal:
-    """Dies, or meets a full disk."""
+    """Meets a full disk."""
 
     way: str
 
     def __call__(self, item: str) -> Row:
-        if self.way == "exit" and item == "b@3":
-            os._exit(1)
         if self.way == "disk":
             raise OutputError(f"{item}: cannot be written")
         return {"id": item}
@@ -89,9 +101,86 @@ def test_a_full_disk_ends_the_run(tmp_path: Path) -> None:
     assert stored_rows(tmp_path) == []
 
 
-def test_a_dead_worker_is_told(tmp_path: Path) -> None:
-    with pytest.raises(GenSPError, match=r"worker process died .* workers.jobs=1"):
-        list(run_items(Fatal("exit"), ITEMS, tmp_path, Workers(2)))
+@dataclass(frozen=True)
+class Deadly:
+    """Kills its own process at some items, as the system does for want of memory."""
+
+    folder: Path
+    once: tuple[str, ...] = ()
+    always: tuple[str, ...] = ()
+
+    def __call__(self, item: str) -> Row:
+        mark = self.folder / f"{item.replace('/', '-')}.died"
+        if item in self.always or (item in self.once and not mark.exists()):
+            mark.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return {"id": item, "process": os.getpid()}
+
+
+MANY = [*ITEMS, "e", "f"]
+WORKERS = {"two": Workers(2), "one": Workers(1, isolated=True), "three": Workers(3)}
+
+
+@pytest.mark.parametrize("name", WORKERS)
+def test_a_worker_that_is_killed_once_loses_nothing(tmp_path: Path, name: str) -> None:
+    task = Deadly(tmp_path, once=("b@3", "f"))
+    with pytest.warns(UserWarning, match="a worker died; its items are done again"):
+        rows = list(run_items(task, MANY, tmp_path, WORKERS[name]))
+    assert sorted(str(row["id"]) for row in rows) == MANY
+    assert not any("error" in row or row["process"] == os.getpid() for row in rows)
+    assert [row["id"] for row in stored_rows(tmp_path)] == MANY
+
+
+@pytest.mark.parametrize("name", WORKERS)
+def test_an_item_that_always_kills_is_given_up(tmp_path: Path, name: str) -> None:
+    task = Deadly(tmp_path, always=("c/d",))
+    with pytest.warns(UserWarning, match="a worker died"):
+        rows = list(run_items(task, MANY, tmp_path, WORKERS[name]))
+    assert sorted(str(row["id"]) for row in rows) == MANY
+    failed = [row for row in stored_rows(tmp_path) if "error" in row]
+    assert [row["id"] for row in failed] == ["c/d"]
+    assert "c/d: its worker process died 2 times while nothing ran beside it" in str(failed)
+    assert finished_row(tmp_path, "c/d") is None, "tried again next time"
+    again = list(run_items(Deadly(tmp_path), MANY, tmp_path, WORKERS[name]))
+    assert all("error" not in row for row in again)
+
+
+def test_a_row_that_a_dead_worker_left_counts(tmp_path: Path) -> None:
+    """A worker may die between an item's row and the word that it is done."""
+    left = {"a": 1}
+    done: list[str] = []
+
+    @contextmanager
+    def pool(work: Any, count: int) -> Iterator[Any]:
+        def attempt(items: Sequence[str], most: int) -> Iterator[tuple[str, int]]:
+            done.append(f"{','.join(items)} by {most}")
+            if len(items) > 1 and most > 2:
+                raise WorkerDied(items)
+            yield from ((item, 2) for item in items)
+
+        yield attempt
+
+    workers = SimpleNamespace(count=lambda ranks: 4, pool=pool)
+    items = list("abcdefg")
+    with pytest.warns(UserWarning, match="here: a worker died"):
+        pairs = dict(shared_out(str, items, workers, found=left.get, what="here"))
+    assert pairs == {"a": 1, **dict.fromkeys("bcdefg", 2)}
+    # Four may have been its death; none was: the others go on with half as many processes.
+    assert done == ["a,b,c,d,e,f,g by 4", "b by 1", "c by 1", "d by 1", "e by 1", "f,g by 2"]
+
+
+def test_workers_that_die_before_they_work_are_told() -> None:
+    @contextmanager
+    def pool(work: Any, count: int) -> Iterator[Any]:
+        def attempt(items: Sequence[str], most: int) -> Iterator[tuple[str, int]]:
+            raise WorkerDied
+            yield
+
+        yield attempt
+
+    workers = SimpleNamespace(count=lambda ranks: 1, pool=pool)
+    with pytest.raises(GenSPError, match="here: all workers died twice before one item was done"):
+        list(shared_out(str, ["a"], workers, found=lambda item: None, what="here"))
 
 
 def test_ranks_share_the_cores() -> None:

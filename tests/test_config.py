@@ -16,6 +16,7 @@ from hydra.errors import ConfigCompositionException
 from hydra.utils import get_object, instantiate
 from omegaconf import DictConfig, OmegaConf
 
+from gensp.configuration import settings_of
 from gensp.geometry.guided_registration import PATIENT
 
 CONF = ROOT / "conf"
@@ -105,7 +106,9 @@ def test_recipes_fill_every_stage(stage: str, recipe: str) -> None:
     check(composed(f"stage={stage}", f"recipe={recipe}"))
 
 
-@pytest.mark.parametrize("group", ["trainer", "logger", "callbacks", "debug", "experiment"])
+@pytest.mark.parametrize(
+    "group", ["trainer", "compute", "logger", "callbacks", "debug", "experiment"]
+)
 def test_surroundings(group: str) -> None:
     for choice in choices(group):
         check(composed("stage=implicit", f"{group}={choice}", "++shapes.root=meshes"))
@@ -203,6 +206,22 @@ def test_ablations_share_only_what_their_switch_leaves_alone() -> None:
     for ablation in choices("ablation"):
         for stage, variant in composed(f"ablation={ablation}").ablation.shares.items():
             assert settings(stage, ablation) == settings(stage, variant), (ablation, stage)
+
+
+def test_accumulated_batches_are_the_settings_of_one() -> None:
+    words = ("stage=implicit", "recipe=paper", "recipe.implicit.batch=48")
+    accumulated = settings_of(composed(*words, "trainer.accumulate_grad_batches=2"), {})
+    assert accumulated == settings_of(composed(*words[:2]), {})
+    assert accumulated != settings_of(composed(*words), {})
+
+
+@pytest.mark.parametrize("compute", choices("compute"))
+def test_where_work_runs_decides_no_number(compute: str) -> None:
+    words = ("stage=correspond", "recipe=smoke")
+    elsewhere = composed(*words, f"compute={compute}", "workers.jobs=3")
+    assert elsewhere.data.workers.jobs == 3
+    assert "compute" not in elsewhere
+    assert settings_of(elsewhere, {}) == settings_of(composed(*words), {})
 
 
 def test_a_misspelt_key_is_refused() -> None:

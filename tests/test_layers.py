@@ -31,16 +31,20 @@ ALLOWED = {
     "tables": CORE,
     "pictures": CORE | {"geometry", "tables"},
 }
+ALLOWED["clusters"] = CORE | {"compute"}
+ALLOWED["arrays"] = CORE | {"compute", "clusters"}
+ALLOWED["ranks"] = CORE
 ALLOWED["benchmark"] = CORE | {"tables"}
 ALLOWED["comparison"] = CORE | {"tables", "benchmark", "pictures"}
 ALLOWED["card"] = CORE | {"data", "geometry", "pictures", "tables"}
 ALLOWED["catalogue"] = CORE | {"runs", "tables"}
 ALLOWED["data.modules"] = ALLOWED["data"] | {"runs", "data"}
-ALLOWED["data.training"] = ALLOWED["data"] | {"runs", "data"}
+ALLOWED["data.training"] = ALLOWED["data"] | {"runs", "data", "data.modules"}
 ALLOWED["tasks"] = set(ALLOWED) - {"data.modules", "data.training"}
 ALLOWED["terminal"] = CORE | {"machine", "tables", "comparison"}
 ALLOWED["mistakes"] = CORE | {"terminal"}
-ALLOWED["configuration"] = CORE | {"runs"}
+ALLOWED["sweeps"] = CORE
+ALLOWED["configuration"] = CORE | {"runs", "sweeps"}
 ALLOWED["stages"] = set(ALLOWED) - {"mistakes", "configuration"}
 ALLOWED["execution"] = CORE | {"configuration", "machine", "runs", "stages"}
 ALLOWED["run"] = set(ALLOWED)
@@ -60,7 +64,7 @@ ALLOWED["cli"] = CORE | {
 ALLOWED["__main__"] = {"cli"}
 
 LIGHTNING = {"stages", "data.modules", "data.training", "execution"}
-HYDRA = {"configuration", "execution", "mistakes", "run"}
+HYDRA = {"configuration", "execution", "mistakes", "run", "sweeps"}
 
 LONGEST = 45  # lines of a function, its docstring included
 LONG: set[str] = set()

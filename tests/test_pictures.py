@@ -17,6 +17,7 @@ from gensp.pictures import PictureOptions, draw_all
 from gensp.pictures.curves import error_curves, loss_curves, read_history
 from gensp.pictures.draw import tree_edges
 from gensp.pictures.latent import principal_plane
+from gensp.pictures.material import Material
 from gensp.pictures.montage import Tile, grid
 from gensp.pictures.rasterize import rasterize
 from gensp.pictures.render import Scene, look
@@ -29,6 +30,7 @@ from gensp.pictures.sheets import (
     textured_sphere,
 )
 from gensp.pictures.texture import LINE_COLOUR, cube_map, hue_field, sphere_texture, to_bytes
+from gensp.pictures.worst import worst_shapes
 
 WHITE = 255
 
@@ -305,6 +307,8 @@ class Sources(HTMLParser):
 
 def test_everything_is_drawn_and_the_page_needs_no_network(tmp_path, maps):
     runs = {"parameterize": tmp_path / "parameterize", **add_training(tmp_path)}
+    rows = "id,sigma_mean,sigma_max,error\nbumpy,1.5,3,\nellipsoid,1.9,2,0.02\nfailed,9,9,1\n"
+    write_text(tmp_path / "evaluate" / "shapes.csv", rows)
     ball = icosphere(1)
     morphs = {"ellipsoid": [Mesh(ball.vertices * s, ball.faces) for s in (1.0, 1.2)]}
     drawn = draw_all(
@@ -333,6 +337,20 @@ def test_everything_is_drawn_and_the_page_needs_no_network(tmp_path, maps):
     assert "1.234" in text
     assert "torn &lt;b&gt;" in text
     assert len(text) < 3e6
+
+
+def test_the_worst_are_told_by_each_figure(tmp_path, bumpy, ellipsoid):
+    rows = "id,sigma_mean,error\nbumpy,1.5,0.3\nellipsoid,1.9,0.2\nfailed,9,9\neven,,\n"
+    write_text(tmp_path / "shapes.csv", rows)
+    maps = {
+        mesh.name: SphericalMap(unit(mesh.vertices), mesh.vertices, mesh.faces, mesh.name)
+        for mesh in (bumpy, ellipsoid)
+    }
+    material = Material(tmp_path, {}, {}, "toys", None, {}, OPTIONS, maps)
+    assert material.worst("sigma_mean", 5) == ["ellipsoid", "bumpy"]
+    assert material.worst("error", 1) == ["bumpy"]
+    (path,) = worst_shapes(material)
+    assert path == tmp_path / "pictures" / "worst.png"
 
 
 def test_a_baseline_names_what_is_not_drawn(tmp_path, maps):

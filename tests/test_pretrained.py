@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import gensp
-from gensp.errors import MissingStage, Unsupported
+from gensp.errors import DamagedFile, MissingStage, Unsupported
 from gensp.files import read_json, write_text
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import icosphere
@@ -72,6 +72,24 @@ def test_shipping_copies_the_model_and_how_it_is_used(
 
 def test_a_folder_that_is_no_parameterization_is_refused(tmp_path) -> None:
     with pytest.raises(MissingStage, match=r"stage=parameterize"):
+        entry_of(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{",
+        "method: 3",
+        "[]",
+        "",
+        "method: {name: gensp, object: 1}",
+        "!!python/object:os.system {}",
+    ],
+)
+def test_a_damaged_configuration_is_one_line(tmp_path, text: str) -> None:
+    write_text(tmp_path / "config.yaml", text)
+    write_text(tmp_path / "manifest.json", "{}")
+    with pytest.raises(DamagedFile, match=r"config\.yaml: is damaged \(.*required; restore"):
         entry_of(tmp_path)
 
 

@@ -1,8 +1,9 @@
 """Batches of the learning stages, and datasets whose draws depend on (seed, epoch, index) alone.
 
 S_0 opens every batch. The arrays may lie in memory or on disk, where only the rows drawn are read;
-a batch is gathered in one go, ahead of the step that needs it. Several ranks share every batch of
-one rank out: the mean of their losses is its loss.
+a batch is gathered in one go, ahead of the step that needs it. The batch of an optimiser step is
+shared out over the ranks, and over the micro-batches whose gradients are accumulated: the mean of
+the losses of all its parts is its loss.
 """
 
 from collections import deque
@@ -13,7 +14,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, DistributedSampler
 
@@ -22,8 +23,16 @@ from gensp.data.store import MappedArray
 
 BatchT = TypeVar("BatchT", bound="SdfBatch | CorrespondenceBatch")
 Drawn = tuple[str, int]  # a shape and the number of one of its clouds
-Key = tuple[int, int]
 Rows = Tensor | MappedArray
+Key = tuple[int, int]  # an epoch and the place of an item in it
+
+
+@dataclass(frozen=True)
+class Micro:
+    """One of the micro-batches of an optimiser step, by the keys of the whole step."""
+
+    keys: tuple[Key, ...]
+    number: int
 
 
 # Lightning moves the tensors of a batch to the device in place and refuses frozen dataclasses.
@@ -31,8 +40,8 @@ Rows = Tensor | MappedArray
 class SdfBatch:
     """Stage II: b shapes, their clouds, and n distance samples of each (negative inside).
 
-    `drawn` names the clouds: which shape, which of its draws. `first` and `weight` are this rank's
-    share of the loss, see `EpochDataset.share`.
+    `drawn` names the clouds: which shape, which of its draws. `first` and `weight` are this part's
+    share of the loss, see `EpochDataset.share`; `ends` tells the last micro-batch of a step.
     """
 
     ids: list[str]
@@ -42,6 +51,7 @@ class SdfBatch:
     distances: Float[Tensor, "b n"]
     first: int = 0
     weight: float = 1.0
+    ends: bool = True
 
 
 @dataclass
@@ -49,7 +59,8 @@ class CorrespondenceBatch:
     """Stages III-b and IV: n icosphere vertices of each shape and where they belong on it.
 
     `valid` tells which targets are known; `surface` are k area-uniform points of the shape;
-    `drawn` names the clouds; `first` and `weight` are this rank's share of the loss.
+    `drawn` names the clouds; `first`, `weight` and `known_weight` are this part's share of the
+    loss, as a mean over shapes and over valid targets; `ends` tells a step's last micro-batch.
     """
 
     ids: list[str]
@@ -61,10 +72,12 @@ class CorrespondenceBatch:
     surface: Float[Tensor, "b k 3"]
     first: int = 0
     weight: float = 1.0
+    known_weight: float = 1.0
+    ends: bool = True
 
 
 class EpochDataset(Dataset[Any], Generic[BatchT]):
-    """A map-style dataset of items that is asked for whole batches.
+    """The micro-batches of an epoch, in the items' own order: what debug=overfit repeats.
 
     Parameters
     ----------
@@ -82,34 +95,57 @@ class EpochDataset(Dataset[Any], Generic[BatchT]):
         self.ids = list(ids)
         self.clouds = clouds
         self.seed = seed
-        self.passes = passes
-        self.rank, self.ranks = 0, 1
+        self.count = (len(self.ids) - 1) * passes
+        self.share_out(self.count + 1)
+
+    def share_out(self, size: int, *, micro: int = 1, rank: int = 0, ranks: int = 1) -> None:
+        """Batches of `size` shapes, S_0 included, in `micro` micro-batches over some ranks."""
+        self.others, self.micro = max(1, size - 1), micro
+        self.rank, self.ranks = rank, ranks
 
     def __len__(self) -> int:
-        return (len(self.ids) - 1) * self.passes
+        return -(-self.count // self.others) * self.micro
 
-    def __getitem__(self, key: Key | int) -> BatchT:
-        return self.__getitems__([key])
+    def micros(self, keys: Sequence[Key]) -> Iterator[Micro]:
+        """The micro-batches of an epoch whose items come in this order.
 
-    def __getitems__(self, keys: Sequence[Key | int]) -> BatchT:
-        """The rank's part of the batch of S_0 and the items named by (epoch, index) pairs."""
-        pairs = [key if isinstance(key, tuple) else (0, key) for key in keys]
-        mine = pairs[self.rank :: self.ranks]
-        items = [0] + [1 + index % (len(self.ids) - 1) for _, index in mine]
-        draws = [self._generator(*pairs[0], 0)] + [self._generator(*pair, 1) for pair in mine]
-        batch = self.batch(items, draws)
-        batch.first, batch.weight = self.share(len(mine), len(pairs))
+        Every step has all of its micro-batches, for Lightning counts them: one for which no shape
+        is left holds S_0 at weight zero.
+        """
+        for start in range(0, len(keys), self.others):
+            step = tuple(keys[start : start + self.others])
+            yield from (Micro(step, number) for number in range(self.micro))
+
+    def __getitem__(self, which: Micro | int) -> BatchT:
+        """The rank's part of a micro-batch: S_0 and some of the step's items."""
+        micro = self._micro(which)
+        keys, parts = micro.keys, self.ranks * self.micro
+        part = micro.number * self.ranks + self.rank
+        mine = keys[part::parts]
+        batch = self.batch(*self._named(keys[0], mine))
+        batch.first, batch.weight = self.share(part, len(mine), len(keys))
+        batch.ends = micro.number == self.micro - 1
         return batch
 
-    def share(self, mine: int, total: int) -> tuple[int, float]:
-        """Where the shapes begin that count on this rank, and what their mean weighs.
+    def _micro(self, which: Micro | int) -> Micro:
+        if isinstance(which, Micro):
+            return which
+        return list(self.micros([(0, index) for index in range(self.count)]))[which]
 
-        S_0, which every rank needs, counts on the first. The mean over the ranks of weight times
-        mean is the mean over the whole batch. A rank without shapes has S_0 at weight zero.
+    def _named(self, opening: Key, keys: Sequence[Key]) -> tuple[list[int], list[torch.Generator]]:
+        """Items, S_0 first, and the random numbers of each; those of S_0 are the step's."""
+        items = [0] + [1 + index % (len(self.ids) - 1) for _, index in keys]
+        return items, [self._generator(*opening, 0), *(self._generator(*key, 1) for key in keys)]
+
+    def share(self, part: int, mine: int, total: int) -> tuple[int, float]:
+        """Where the shapes begin that count in a part, and what their mean weighs.
+
+        S_0, which every part needs, counts in the first. The mean over the parts of weight times
+        mean is the mean over the whole batch. A part without shapes has S_0 at weight zero.
         """
-        first = 1 if self.rank and mine else 0
-        counted = mine + (self.rank == 0)
-        return first, self.ranks * counted / (1 + total)
+        first = 1 if part and mine else 0
+        counted = mine + (part == 0)
+        return first, self.ranks * self.micro * counted / (1 + total)
 
     def _generator(self, epoch: int, index: int, part: int) -> torch.Generator:
         state = np.random.SeedSequence([self.seed, epoch, index, part]).generate_state(
@@ -128,29 +164,42 @@ class EpochDataset(Dataset[Any], Generic[BatchT]):
 
 
 class EpochSampler(DistributedSampler[Any]):
-    """Shuffles by (seed, epoch), alike on all ranks; yields (epoch, index).
+    """Shuffles by (seed, epoch), alike on all ranks; yields micro-batches.
 
     It is distributed by name only, so that Lightning leaves it alone: batches are shared out, not
     items.
     """
 
-    def __iter__(self) -> Iterator[Key]:
-        for index in super().__iter__():
-            yield self.epoch, index
+    def __init__(self, dataset: EpochDataset[Any]) -> None:
+        super().__init__(dataset, num_replicas=1, rank=0, seed=dataset.seed)
+        self.batches = dataset
+
+    def __iter__(self) -> Iterator[Micro]:
+        # A generator: a resumed training sets the epoch after it has asked for the iterator.
+        generator = torch.Generator().manual_seed(self.seed + self.epoch)
+        order = torch.randperm(self.batches.count, generator=generator).tolist()
+        yield from self.batches.micros([(self.epoch, index) for index in order])
 
 
 def epoch_loader(
-    dataset: EpochDataset[BatchT], *, batch_size: int, rank: int = 0, ranks: int = 1
+    dataset: EpochDataset[BatchT],
+    *,
+    batch_size: int,
+    micro: int = 1,
+    rank: int = 0,
+    ranks: int = 1,
 ) -> DataLoader[BatchT]:
-    """Batches of `batch_size` shapes over all ranks, S_0 included; this rank's part of each.
+    """The rank's part of every micro-batch of an epoch.
 
     Lightning sets the sampler's epoch.
+
+    Parameters
+    ----------
+    batch_size
+        Shapes in the batch of an optimiser step over all ranks and micro-batches, S_0 included.
     """
-    dataset.rank, dataset.ranks = rank, ranks
-    sampler = EpochSampler(dataset, num_replicas=1, rank=0, shuffle=True, seed=dataset.seed)
-    return AheadLoader(
-        dataset, batch_size=max(1, batch_size - 1), sampler=sampler, collate_fn=_as_is
-    )
+    dataset.share_out(batch_size, micro=micro, rank=rank, ranks=ranks)
+    return AheadLoader(dataset, batch_size=None, sampler=EpochSampler(dataset), collate_fn=_as_is)
 
 
 class AheadLoader(DataLoader[Any]):
@@ -194,20 +243,20 @@ class SdfDataset(EpochDataset[SdfBatch]):
         passes: int = 1,
     ) -> None:
         super().__init__(ids, clouds, seed=seed, passes=passes)
-        self.points, self.distances = points, distances
-        self.count = count
+        self.pool, self.distances = points, distances
+        self.points = count
 
     def batch(self, items: Sequence[int], draws: Sequence[torch.Generator]) -> SdfBatch:
         """Draw `count` samples of every item's pool."""
         which = self.draw_clouds(draws)
-        pool = self.points.shape[1]
-        chosen = torch.stack([torch.randint(pool, (self.count,), generator=g) for g in draws])
+        pool = self.pool.shape[1]
+        chosen = torch.stack([torch.randint(pool, (self.points,), generator=g) for g in draws])
         rows = torch.as_tensor(items)[:, None]
         return SdfBatch(
             ids=[self.ids[item] for item in items],
             drawn=[(self.ids[item], draw) for item, draw in zip(items, which, strict=True)],
             clouds=self.clouds[list(items), which],
-            points=self.points[rows, chosen],
+            points=self.pool[rows, chosen],
             distances=self.distances[rows, chosen],
         )
 
@@ -232,13 +281,31 @@ class CorrespondenceDataset(EpochDataset[CorrespondenceBatch]):
         super().__init__(ids, clouds, seed=seed, passes=passes)
         self.sphere, self.targets, self.valid = sphere, targets, valid
         self.surfaces = surfaces
-        self.count, self.surface_count = min(count, len(sphere)), surface_count
+        self.points, self.surface_count = min(count, len(sphere)), surface_count
+
+    def __getitem__(self, which: Micro | int) -> CorrespondenceBatch:
+        """With what the mean over its valid targets weighs among those of the whole step."""
+        batch = super().__getitem__(which)
+        parts = self.ranks * self.micro
+        if parts > 1:
+            known = batch.valid[batch.first :].sum().item() * (batch.weight > 0)
+            batch.known_weight = parts * known / max(1, self._known(self._micro(which).keys))
+        return batch
+
+    def _known(self, keys: Sequence[Key]) -> int:
+        """Valid targets of a whole step, drawn as its parts draw them."""
+        items, draws = self._named(keys[0], keys)
+        self.draw_clouds(draws)
+        return int(self.valid[torch.as_tensor(items)[:, None], self._chosen(draws)].sum())
+
+    def _chosen(self, draws: Sequence[torch.Generator]) -> Int[Tensor, "b n"]:
+        """Vertices without replacement."""
+        total = len(self.sphere)
+        return torch.stack([torch.randperm(total, generator=g)[: self.points] for g in draws])
 
     def batch(self, items: Sequence[int], draws: Sequence[torch.Generator]) -> CorrespondenceBatch:
-        """Draw vertices without replacement, and surface points, for every item."""
-        which = self.draw_clouds(draws)
-        total = len(self.sphere)
-        chosen = torch.stack([torch.randperm(total, generator=g)[: self.count] for g in draws])
+        """Draw vertices, and surface points, for every item."""
+        which, chosen = self.draw_clouds(draws), self._chosen(draws)
         rows = torch.as_tensor(items)[:, None]
         surface = [
             self.surfaces[item].draw(self.surface_count, generator)

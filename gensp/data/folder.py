@@ -7,7 +7,7 @@ import numpy as np
 
 from gensp.errors import MissingData, Unsupported
 from gensp.files import read_rows
-from gensp.geometry.mesh import FORMATS
+from gensp.geometry.formats import FORMATS
 
 SPLITS = ("train", "val", "test")
 # Columns of a manifest that say what a mesh is, not how it is stored.

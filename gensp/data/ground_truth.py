@@ -6,17 +6,17 @@ Two shapes of one template correspond where their ids agree.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from gensp.errors import MissingData
 from gensp.files import load_npz, save_npz
-from gensp.geometry.distance import closest_point
-from gensp.geometry.mesh import Mesh
 from gensp.geometry.points import SurfacePoints
-from gensp.geometry.repair import bounding_diagonal
+
+if TYPE_CHECKING:
+    from gensp.geometry.mesh import Mesh
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def save_ground_truth(path: Path | str, truth: GroundTruth) -> None:
 
 
 def carry_ground_truth(
-    truth: GroundTruth, source: Mesh, target: Mesh, *, largest: float
+    truth: GroundTruth, source: "Mesh", target: "Mesh", *, largest: float
 ) -> tuple[GroundTruth, Float[np.ndarray, " k"]]:
     """The points of one mesh at the closest places of another mesh of the same surface.
 
@@ -120,6 +120,10 @@ def carry_ground_truth(
     GroundTruth, (k,) array
         The points on the target, and how far every point of the source was moved, in diagonals.
     """
+    # Imported late: who only asks what is known needs no geometry.
+    from gensp.geometry.distance import closest_point
+    from gensp.geometry.repair import bounding_diagonal
+
     points = truth.at.on(source.vertices, source.faces)
     found = closest_point(points, target)
     moved = found.distance / bounding_diagonal(source)

@@ -4,11 +4,11 @@ Source of the format: You et al., KeypointNet: A Large-scale 3D Keypoint Dataset
 Numerous Human Annotations, 2020.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -16,9 +16,10 @@ from jaxtyping import Float
 from gensp.data.ground_truth import GroundTruth, ground_truth
 from gensp.errors import DamagedFile, MissingData
 from gensp.files import read_json
-from gensp.geometry.distance import closest_point
-from gensp.geometry.mesh import Mesh
-from gensp.geometry.repair import bounding_diagonal
+
+if TYPE_CHECKING:
+    from gensp.geometry.distance import ClosestPoints
+    from gensp.geometry.mesh import Mesh
 
 KEYPOINTS = "keypoints"
 _FOREIGN = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
@@ -94,6 +95,15 @@ def symmetry_groups(record: Record) -> list[tuple[int, ...]]:
     return [tuple(ids[place] for place in entry["kp_indexes"]) for entry in listed]
 
 
+def symmetry_orbits(groups: Sequence[Sequence[int]]) -> list[tuple[int, ...]]:
+    """The groups, those with a member in common joined: what any chain of symmetries exchanges."""
+    orbits: list[set[int]] = []
+    for group in groups:
+        met = [orbit for orbit in orbits if orbit & set(group)]
+        orbits = [orbit for orbit in orbits if orbit not in met] + [set(group).union(*met)]
+    return [tuple(sorted(orbit)) for orbit in orbits]
+
+
 @dataclass(frozen=True)
 class CarriedKeypoints:
     """Keypoints on another mesh of a shape, and how far they lie from it, in diagonals."""
@@ -102,16 +112,16 @@ class CarriedKeypoints:
     distance: Float[np.ndarray, " k"]
 
 
-def keypoint_distance(record: Record, mesh: Mesh) -> float:
+def keypoint_distance(record: Record, mesh: "Mesh") -> float:
     """Largest distance of a keypoint to the surface it should lie on, in diagonals.
 
     Models whose annotation was made in another pose or scale show it here.
     """
-    return float(closest_point(_positions(record), mesh).distance.max() / bounding_diagonal(mesh))
+    return float(_distances(record, mesh)[1].max())
 
 
 def carry_keypoints(
-    record: Record, id: str, mesh: Mesh, final: Mesh, *, largest: float
+    record: Record, id: str, mesh: "Mesh", final: "Mesh", *, largest: float
 ) -> CarriedKeypoints:
     """The record of a mesh of the same surface, symmetries included.
 
@@ -122,8 +132,7 @@ def carry_keypoints(
     largest
         Keypoints further from the mesh, in its diagonals, get the face -1.
     """
-    found = closest_point(_positions(record), mesh)
-    distance = found.distance / bounding_diagonal(mesh)
+    found, distance = _distances(record, mesh)
     places = found.at.on(final.vertices, final.faces)
     points = []
     for k, point in enumerate(record["keypoints"]):
@@ -132,6 +141,16 @@ def carry_keypoints(
         here = {"xyz": places[k].tolist(), "mesh_info": info, "pcd_info": {"point_index": -1}}
         points.append({**point, **here})
     return CarriedKeypoints({**record, "model_id": id, "keypoints": points}, distance)
+
+
+def _distances(record: Record, mesh: "Mesh") -> tuple["ClosestPoints", Float[np.ndarray, " k"]]:
+    """Closest points of the mesh to the keypoints, and how far they are, in its diagonals."""
+    # Imported late: who only reads records needs no geometry.
+    from gensp.geometry.distance import closest_point
+    from gensp.geometry.repair import bounding_diagonal
+
+    found = closest_point(_positions(record), mesh)
+    return found, found.distance / bounding_diagonal(mesh)
 
 
 def _positions(record: Record) -> Float[np.ndarray, "k 3"]:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Self
 
-from lightning import LightningDataModule
+from lightning import LightningDataModule, Trainer
 from torch.utils.data import DataLoader, IterableDataset
 
 from gensp.compute import Row, Task, Workers, run_items
@@ -12,7 +12,10 @@ from gensp.runs import Run
 
 
 class ItemRows(IterableDataset[Row]):
-    """Rows of the items, in the order in which the workers finish them."""
+    """Rows of the items, in the order in which the workers finish them.
+
+    `ranks` of this machine have items of their own at the same time.
+    """
 
     def __init__(
         self, task: Task, items: Sequence[str], folder: Path, workers: Workers, *, ranks: int = 1
@@ -75,10 +78,15 @@ class ItemsModule(LightningDataModule):
 
     def predict_dataloader(self) -> DataLoader[Row]:
         """The share of this rank, one finished row at a time."""
-        rank, ranks = (
-            (self.trainer.global_rank, self.trainer.world_size) if self.trainer else (0, 1)
-        )
+        rank, ranks, here = places(self.trainer)
         mine = self.items[rank::ranks]
         return DataLoader(
-            ItemRows(self.task, mine, self.folder, self.workers, ranks=ranks), batch_size=None
+            ItemRows(self.task, mine, self.folder, self.workers, ranks=here), batch_size=None
         )
+
+
+def places(trainer: Trainer | None) -> tuple[int, int, int]:
+    """The own rank, the number of all ranks, and of those that share this machine's cores."""
+    if trainer is None:
+        return 0, 1, 1
+    return trainer.global_rank, trainer.world_size, trainer.num_devices

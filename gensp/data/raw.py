@@ -2,13 +2,15 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-from gensp.data.ground_truth import GroundTruth
-from gensp.data.keypoints import Record
 from gensp.data.validation import KEEP
 from gensp.errors import Unsupported
-from gensp.geometry.mesh import Mesh
+
+if TYPE_CHECKING:
+    from gensp.data.ground_truth import GroundTruth
+    from gensp.data.keypoints import Record
+    from gensp.geometry.mesh import Mesh
 
 
 class RawCollection(Protocol):
@@ -32,7 +34,7 @@ class RawCollection(Protocol):
         """Ids of all meshes, usable or not."""
         ...
 
-    def mesh(self, id: str) -> Mesh:
+    def mesh(self, id: str) -> "Mesh":
         """The mesh as it was found; raises BadMesh where it cannot be read."""
         ...
 
@@ -44,11 +46,11 @@ class RawCollection(Protocol):
         """What the manifest is to tell of the shape, see `gensp.data.folder.COLUMNS`."""
         ...
 
-    def ground_truth(self, id: str) -> GroundTruth | None:
+    def ground_truth(self, id: str) -> "GroundTruth | None":
         """Dense ground truth on the mesh as it was found."""
         ...
 
-    def keypoint_record(self, id: str) -> Record | None:
+    def keypoint_record(self, id: str) -> "Record | None":
         """Keypoints in the coordinates of the mesh as it was found."""
         ...
 

@@ -92,6 +92,12 @@ def cached_samples(mesh: Mesh, sampler: SdfSampler, bound: float, cache: Path) -
     return samples
 
 
+def keep_samples(mesh: Mesh, sampler: SdfSampler, bound: float, cache: Path) -> Path:
+    """What `cached_samples` does, for a worker, which need not send the samples back."""
+    cached_samples(mesh, sampler, bound, cache)
+    return sample_path(mesh, sampler, bound, cache)
+
+
 def _read(path: Path) -> SdfSamples | None:
     """Stored samples, or nothing where the file is not what was written."""
     try:

@@ -9,16 +9,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from gensp.data.blobs import BlobFamily, generate_blobs
 from gensp.data.folder import Shape, list_meshes, read_manifest, with_split
 from gensp.data.ground_truth import GroundTruth, load_ground_truth
-from gensp.data.keypoints import keypoints_of, load_keypoint_records
+from gensp.data.keypoints import (
+    keypoints_of,
+    load_keypoint_records,
+    symmetry_groups,
+    symmetry_orbits,
+)
 from gensp.data.validation import checked
 from gensp.errors import MissingData, Unsupported
-from gensp.files import content_hash
-from gensp.geometry.mesh import Mesh, load_mesh
+from gensp.files import content_hash, read_rows
+
+if TYPE_CHECKING:
+    from gensp.geometry.mesh import Mesh
 
 SPHERE = "sphere"
 
@@ -111,6 +117,9 @@ class ShapeCollection:
         **family: Any,
     ) -> "ShapeCollection":
         """The generated family of limbed blobs; `family` are the fields of `BlobFamily`."""
+        # Imported late, like load_mesh below: a finished stage asks for the files alone.
+        from gensp.data.blobs import BlobFamily, generate_blobs
+
         root = generate_blobs(cache, BlobFamily(**family))
         return cls.from_folder(
             root, name=name, on_bad=on_bad, max_faces=max_faces, up=up, cache=cache
@@ -137,7 +146,9 @@ class ShapeCollection:
             (s.id, s.split, _digest(s.path), _digest(s.correspondence))
             for s in self._shapes.values()
         ]
-        return content_hash(self.name, files, _digest(self._keypoint_file))
+        # A list that is not there changes no fingerprint.
+        left_out = [_digest(self._misaligned)] if self._misaligned else []
+        return content_hash(self.name, files, _digest(self._keypoint_file), *left_out)
 
     def ids(self, *splits: str) -> list[str]:
         """Ids of the given splits (all without arguments), in the collection's order."""
@@ -158,8 +169,10 @@ class ShapeCollection:
             )
         return self._shapes[id]
 
-    def mesh(self, id: str) -> Mesh:
+    def mesh(self, id: str) -> "Mesh":
         """The mesh in its file's coordinates and vertex order, named by its id."""
+        from gensp.geometry.mesh import load_mesh
+
         return replace(load_mesh(self.shape(id).path), name=id)
 
     def ground_truth(self, id: str) -> GroundTruth | None:
@@ -177,6 +190,13 @@ class ShapeCollection:
     def keypoint_record(self, id: str) -> Mapping[str, Any] | None:
         """The same as the record of `keypoints.json`, symmetries included."""
         return self._records.get(self.shape(id).id)
+
+    def symmetries(self, id: str) -> list[tuple[int, ...]] | None:
+        """Sets of semantic ids that symmetries of the shape exchange; None: no shape has any."""
+        if not self._symmetric:
+            return None
+        record = self.keypoint_record(id)
+        return [] if record is None else symmetry_orbits(symmetry_groups(record))
 
     def digest(self, id: str) -> str:
         """Changes with the shape's file or its ground truth."""
@@ -196,7 +216,23 @@ class ShapeCollection:
 
     @cached_property
     def _records(self) -> dict[str, Mapping[str, Any]]:
-        return {} if self._keypoint_file is None else load_keypoint_records(self._keypoint_file)
+        """Keypoint records, but for the models that misaligned.csv lists."""
+        if self._keypoint_file is None:
+            return {}
+        listed = self._misaligned
+        wrong = {row["id"] for row in read_rows(listed) if "id" in row} if listed else set()
+        records = load_keypoint_records(self._keypoint_file)
+        return {id: record for id, record in records.items() if id not in wrong}
+
+    @cached_property
+    def _symmetric(self) -> bool:
+        return any(symmetry_groups(record) for record in self._records.values())
+
+    @property
+    def _misaligned(self) -> Path | None:
+        """The list of models whose keypoints do not lie on them, as stage=prepare leaves it."""
+        path = self._keypoint_file and self._keypoint_file.with_name("misaligned.csv")
+        return path if path and path.is_file() else None
 
 
 def _require_names(shapes: Sequence[Shape]) -> None:

@@ -4,11 +4,10 @@ import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Self
 
-import joblib
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
@@ -16,7 +15,7 @@ from lightning import LightningDataModule
 from torch import Tensor
 from torch.utils.data import DataLoader
 
-from gensp.compute import Workers
+from gensp.compute import Workers, shared_out
 from gensp.data.arrays import Content, TrainingArrays
 from gensp.data.batches import (
     CorrespondenceDataset,
@@ -25,10 +24,11 @@ from gensp.data.batches import (
     epoch_loader,
 )
 from gensp.data.items import ItemMeshes, names_of, training_items
-from gensp.data.sdf import SdfSampler, cached_samples, sample_path
+from gensp.data.modules import places
+from gensp.data.sdf import SdfSampler, keep_samples, sample_path
 from gensp.data.shapes import SPHERE
 from gensp.data.store import MappedArray
-from gensp.errors import MissingData
+from gensp.errors import GenSPError, MissingData
 from gensp.files import load_npz
 from gensp.geometry.common_source import known_mean
 from gensp.geometry.mesh import Mesh
@@ -45,7 +45,8 @@ class Batching:
     Attributes
     ----------
     size
-        Shapes in a batch over all ranks, S_0 included.
+        Shapes in a batch over all ranks, S_0 included; accumulated gradients are those of as many
+        times more.
     points
         Samples (II) or icosphere vertices (III-b, IV) of every shape.
     surface_points
@@ -98,6 +99,8 @@ class FitModule(LightningDataModule):
             self._thrown_away = tempfile.TemporaryDirectory(prefix="gensp-")
             cache = self._thrown_away.name
         self.stores = Path(cache) / "training"
+        # The cache is seen by all machines, as the run folder is.
+        self.prepare_data_per_node = False
 
     @cached_property
     def arrays(self) -> TrainingArrays:
@@ -123,10 +126,14 @@ class FitModule(LightningDataModule):
         raise NotImplementedError
 
     def train_dataloader(self) -> DataLoader[Any]:
-        """The share of this rank of every epoch."""
-        trainer = self.trainer
-        rank, ranks = (trainer.global_rank, trainer.world_size) if trainer else (0, 1)
-        return epoch_loader(self._loaded, batch_size=self.batching.size, rank=rank, ranks=ranks)
+        """The share of this rank of every epoch.
+
+        K accumulated batches are one of K times the shapes, S_0 once, in K micro-batches.
+        """
+        rank, ranks, _ = places(self.trainer)
+        micro = self.trainer.accumulate_grad_batches if self.trainer else 1
+        size = self.batching.size * micro
+        return epoch_loader(self._loaded, batch_size=size, micro=micro, rank=rank, ranks=ranks)
 
 
 class SdfModule(FitModule):
@@ -163,14 +170,30 @@ class SdfModule(FitModule):
         return cls(ItemMeshes(augment, [item.id for item in items]), **settings)
 
     def sample(self) -> None:
-        """Fill the cache of samples with all processes."""
-        missing = [k for k, mesh in enumerate(self.meshes) if not self._path(mesh).is_file()]
-        count = min(self.workers.count(), len(missing))
-        if count:
-            backend = self.workers.backend if count > 1 else "sequential"
-            call = joblib.delayed(_sample)
-            calls = (call(self.meshes[k], self.sampler, self.bound, self.cache) for k in missing)
-            joblib.Parallel(n_jobs=count, backend=backend)(calls)
+        """Fill the cache of samples with all workers.
+
+        Raises
+        ------
+        GenSPError
+            Workers die of a shape.
+        """
+        paths = {mesh.name: self._path(mesh) for mesh in self.meshes}
+        missing = {id: k for k, (id, path) in enumerate(paths.items()) if not path.is_file()}
+        done = shared_out(
+            lambda id: partial(
+                keep_samples, self.meshes[missing[id]], self.sampler, self.bound, self.cache
+            ),
+            list(missing),
+            self.workers,
+            found=lambda id: paths[id] if paths[id].is_file() else None,
+            what=self.cache,
+        )
+        lost = [id for id, path in done if path is None]
+        if lost:
+            raise GenSPError(
+                f"{', '.join(lost)}: a worker died of its distance samples, often for want of "
+                "memory; lower recipe.implicit.sdf, or leave the shape out"
+            )
 
     def _path(self, mesh: Mesh) -> Path:
         return sample_path(mesh, self.sampler, self.bound, self.cache)
@@ -187,10 +210,6 @@ class SdfModule(FitModule):
             seed=self.seed,
             passes=self.batching.passes,
         )
-
-
-def _sample(mesh: Mesh, sampler: SdfSampler, bound: float, cache: Path) -> None:
-    cached_samples(mesh, sampler, bound, cache)
 
 
 class CorrespondenceModule(FitModule):

@@ -1,16 +1,21 @@
-"""Every mesh of a collection is checked once; verdicts are kept by file content."""
+"""Every mesh of a collection is checked once; verdicts are kept by file content.
+
+Where all are known from before, no geometry is loaded.
+"""
 
 import hashlib
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from gensp.errors import BadMesh, DamagedFile, MissingData, Unsupported
 from gensp.files import read_json, write_json
-from gensp.geometry.diagnosis import diagnose, repair_command
-from gensp.geometry.mesh import MAX_FACES, Mesh, load_mesh, require_genus_zero
+from gensp.geometry.formats import MAX_FACES
+
+if TYPE_CHECKING:
+    from gensp.geometry.mesh import Mesh
 
 KEEP = "keep"  # nothing is checked here, because stage=prepare does it
 _RECORD = "genus_zero.json"
@@ -77,6 +82,8 @@ def _verdict(path: Path, max_faces: int, passed: set[str]) -> str | None:
         digest = _digest(path, max_faces)
         if digest in passed:
             return None
+        from gensp.geometry.mesh import load_mesh, require_genus_zero
+
         mesh = replace(load_mesh(path), name=str(path))
     except BadMesh as error:
         return " ".join(str(error).split())
@@ -90,10 +97,12 @@ def _verdict(path: Path, max_faces: int, passed: set[str]) -> str | None:
     return None
 
 
-def _way_out(path: Path, mesh: Mesh, max_faces: int) -> str:
+def _way_out(path: Path, mesh: "Mesh", max_faces: int) -> str:
     """The command that mends a mesh, unless there is nothing to mend."""
     if len(mesh.faces) < _FEWEST:
         return ""
+    from gensp.geometry.diagnosis import diagnose, repair_command
+
     return f", or type: {repair_command(path, diagnose(mesh, max_faces=max_faces))}"
 
 

@@ -5,11 +5,13 @@ lies, m_j⁻¹(R m_i(x)), and where the ground truth m_ij(x) has it, with R the 
 rotation of the sphere. The measures differ in how the points are weighted.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
 from gensp.geometry.alignment import best_rotation
@@ -38,10 +40,46 @@ def correspondence_error(
     rotation
         R; none is the identity.
     """
-    image = map_i.to_sphere(at_i)
-    implied = map_j.to_surface(image if rotation is None else image @ rotation.T)
+    implied = _implied(map_i, map_j, at_i, rotation)
     true = at_j.on(map_j.surface, map_j.faces)
     return np.linalg.norm(implied - true, axis=1) / np.sqrt(map_j.mesh.area)
+
+
+def symmetric_error(
+    map_i: SphericalMap,
+    map_j: SphericalMap,
+    at_i: SurfacePoints,
+    at_j: SurfacePoints,
+    groups: Sequence[Sequence[int]],
+    rotation: Float[np.ndarray, "3 3"] | None = None,
+) -> Float[np.ndarray, " k"]:
+    """The same where symmetries of S_j exchange points: every group in its best order.
+
+    Of all ways to pair the implied points of a group with its true ones, one to one, that of the
+    least total error counts.
+
+    Parameters
+    ----------
+    groups
+        Places among the k points, no place in two groups.
+    """
+    implied = _implied(map_i, map_j, at_i, rotation)
+    true = at_j.on(map_j.surface, map_j.faces).copy()
+    for group in map(list, groups):
+        cost = np.linalg.norm(implied[group][:, None] - true[group][None], axis=2)
+        true[group] = true[group][linear_sum_assignment(cost)[1]]
+    return np.linalg.norm(implied - true, axis=1) / np.sqrt(map_j.mesh.area)
+
+
+def _implied(
+    map_i: SphericalMap,
+    map_j: SphericalMap,
+    at_i: SurfacePoints,
+    rotation: Float[np.ndarray, "3 3"] | None,
+) -> Float[np.ndarray, "k 3"]:
+    """Where the maps say that points of S_i lie on S_j."""
+    image = map_i.to_sphere(at_i)
+    return map_j.to_surface(image if rotation is None else image @ rotation.T)
 
 
 @dataclass(frozen=True)
@@ -85,6 +123,38 @@ def prediction_error(
     implied = shape_j.on_mesh.query(carried).points
     true = at_j.on(shape_j.mesh.vertices, shape_j.mesh.faces)
     return np.linalg.norm(implied - true, axis=1) / np.sqrt(shape_j.mesh.area)
+
+
+def generated_consistency(
+    shape_i: GeneratedShape,
+    shape_j: GeneratedShape,
+    at_i: SurfacePoints,
+    at_j: SurfacePoints,
+    hausdorff: float,
+) -> float:
+    """C of two generated surfaces: the mean of both directions, over the Hausdorff distance.
+
+    The images of the icosphere's vertices are the uniform samples of the sphere, and
+    `prediction_error` stands for the maps that are not made yet.
+
+    Parameters
+    ----------
+    at_i, at_j
+        The same k ground-truth points x_k on S_i and m_ij(x_k) on S_j.
+    hausdorff
+        Distance of the two shapes.
+    """
+    ways = ((shape_i, shape_j, at_i, at_j), (shape_j, shape_i, at_j, at_i))
+    return float(np.mean([_one_way(*way) for way in ways]) / hausdorff)
+
+
+def _one_way(
+    shape_i: GeneratedShape, shape_j: GeneratedShape, at_i: SurfacePoints, at_j: SurfacePoints
+) -> float:
+    x = at_i.on(shape_i.mesh.vertices, shape_i.mesh.faces)
+    weights = _share_of_nearest(shape_i.image.vertices, x)
+    error = prediction_error(shape_i, shape_j, at_i, at_j)
+    return float(error @ weights * np.sqrt(shape_j.mesh.area))
 
 
 def pair_rotation(

@@ -246,12 +246,22 @@ def correspondence(at: SurfacePoints, mesh: Mesh, faces: Int[np.ndarray, "f 3"])
     normals met at its corners, and collapsed when its area is negligible.
     """
     points = at.on(mesh.vertices, mesh.faces)
-    image = Mesh(points, faces)
-    met = mesh.face_normals[at.faces][faces].sum(axis=1)
-    bad = folded(image, met) | (image.face_areas <= _COLLAPSED * image.face_areas.mean())
+    bad = faces_at_fault(Mesh(points, faces), at, mesh)
     valid = np.ones(len(points), dtype=bool)
     valid[faces[bad]] = False
     return Correspondence(at, points, valid, float(bad.mean()))
+
+
+def faces_at_fault(image: Mesh, at: SurfacePoints, mesh: Mesh) -> Bool[np.ndarray, " f"]:
+    """Triangles of an icosphere's image that are folded or collapsed on a shape.
+
+    Parameters
+    ----------
+    at
+        Where the image's vertices lie on the shape, or next to which point of it.
+    """
+    met = mesh.face_normals[at.faces][image.faces].sum(axis=1)
+    return folded(image, met) | (image.face_areas <= _COLLAPSED * image.face_areas.mean())
 
 
 def closest_agreeing(

@@ -14,10 +14,10 @@ from scipy.sparse.csgraph import connected_components
 
 from gensp.errors import DegenerateMesh, NotGenusZero, UnreadableMesh
 from gensp.files import atomic_path
+from gensp.geometry.formats import FORMATS as FORMATS
+from gensp.geometry.formats import MAX_FACES as MAX_FACES
 from gensp.geometry.wavefront import read_obj
 
-FORMATS = (".ply", ".obj", ".off", ".stl")
-MAX_FACES = 200_000  # larger meshes are refused unless asked for
 SPHERE_AREA = 4 * np.pi
 
 

@@ -1,7 +1,7 @@
 """From a mesh as it was found to one closed genus-0 surface, or to the reason why not."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from gensp.geometry.distance import hausdorff
 from gensp.geometry.mesh import MAX_FACES, Mesh, simplify
 from gensp.geometry.repair import bounding_diagonal, remedies, repair, require_steps, sane
 from gensp.geometry.retriangulation import retriangulate
+from gensp.geometry.self_intersections import self_intersecting_faces
 
 SOLID = "solid"
 USABLE, REPAIRED, DROPPED = "usable", "repaired", "dropped"
@@ -37,6 +38,8 @@ class Prepared:
         Distance between input and result, in diagonals of the input; 0 if nothing was done.
     reason, remedy
         Why it was dropped, and what may help.
+    self_intersecting
+        Faces of the mesh as it was that pass through others.
     """
 
     verdict: str
@@ -46,6 +49,7 @@ class Prepared:
     hausdorff: float | None = None
     reason: str = ""
     remedy: str = ""
+    self_intersecting: int = 0
 
 
 @dataclass(frozen=True)
@@ -83,6 +87,10 @@ class Preparation:
 
     def __call__(self, mesh: Mesh, generator: np.random.Generator) -> Prepared:
         """Prepare one mesh; the generator draws its triangles under `remesh`."""
+        crossing = int(self_intersecting_faces(mesh).sum())
+        return replace(self._prepared(mesh, generator), self_intersecting=crossing)
+
+    def _prepared(self, mesh: Mesh, generator: np.random.Generator) -> Prepared:
         found = self._diagnosed(mesh)
         try:
             sound, done = (mesh, []) if found.usable else self._mended(mesh)

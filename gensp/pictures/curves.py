@@ -46,7 +46,7 @@ def save_figure(drawing: "Figure", path: Path) -> Path:
 
 
 def loss_curves(histories: Mapping[str, History]) -> "Figure":
-    """One panel for every training stage, one line for every loss term."""
+    """One panel for every training stage: its loss terms; broken, figures of validation shapes."""
     drawing = figure(5.2 * len(histories), 3.8)
     panels = drawing.subplots(1, len(histories), squeeze=False)[0]
     for panel, (stage, history) in zip(panels, histories.items(), strict=True):
@@ -55,17 +55,24 @@ def loss_curves(histories: Mapping[str, History]) -> "Figure":
     return drawing
 
 
+# Means over an epoch, and what is measured at some ends of epochs alone.
+_LINES: dict[str, dict[str, Any]] = {
+    "train": {"linewidth": 1.5},
+    "val": {"linewidth": 1.0, "linestyle": "--", "marker": "o", "markersize": 3},
+}
+
+
 def _losses(panel: "Axes", history: History) -> None:
     epochs = history.get("epoch", range(len(next(iter(history.values())))))
     for name, values in history.items():
-        drawn = np.array(values, dtype=float)
+        kind, drawn = name.split("/")[0], np.array(values, dtype=float)
         # A share of steps is no loss.
-        if not name.startswith("train/") or name.endswith("_share") or not (drawn > 0).any():
+        if kind not in _LINES or name.endswith("_share") or not (drawn > 0).any():
             continue
-        label = name.removeprefix("train/").replace("_", " ")
+        label = name.removeprefix("train/").replace("/", " ").replace("_", " ")
         # A logarithmic axis has no place for zeros; a term may begin late.
         shown = drawn > 0
-        panel.plot(np.array(epochs)[shown], drawn[shown], label=label, linewidth=1.5)
+        panel.plot(np.array(epochs)[shown], drawn[shown], label=label, **_LINES[kind])
     panel.set_yscale("log")
     panel.set_xlabel("epoch")
     plain(panel)

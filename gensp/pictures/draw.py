@@ -19,6 +19,7 @@ from gensp.pictures.material import Material, NotDrawn, PictureOptions
 from gensp.pictures.montage import Tile, save_png
 from gensp.pictures.render import up_axis
 from gensp.pictures.report import Page, write_report
+from gensp.pictures.worst import worst_shapes
 
 TRAINED = ("implicit", "initialize", "finetune")
 
@@ -61,7 +62,7 @@ def morph_strips(material: Material) -> list[Path]:
     """The generator's surfaces on the way from the sphere to a shape."""
     if not material.morphs:
         raise NotDrawn("this method has no generator")
-    size = _strip_tile(material)
+    size = material.strip_tile
     rows = sheets.together(
         lambda named: sheets.morph_tiles(named[1], named[0], material.view, size),
         material.morphs.items(),
@@ -78,7 +79,7 @@ def flow_strips(material: Material) -> list[Path]:
     }
     if not found:
         raise NotDrawn("stage augment left no flow of these shapes")
-    size, frames = _strip_tile(material), material.options.frames
+    size, frames = material.strip_tile, material.options.frames
 
     def strip(name: str) -> list[Tile]:
         flow = load_npz(folder / f"{name}.npz")
@@ -102,7 +103,7 @@ def prediction_strips(material: Material) -> list[Path]:
         if generated is None:
             raise NotDrawn("the predictions hold no generated surface")
         surface = generated.astype(np.float64)
-        size = _strip_tile(material)
+        size = material.strip_tile
         rows.append(sheets.prediction_tiles(material.maps[name], surface, material.view, size))
     return [_strips(material, rows, "predictions", "Generated surfaces", "input, g(·, z), map")]
 
@@ -149,10 +150,6 @@ def errors(material: Material) -> list[Path]:
     return [save_figure(error_curves(curves), material.pictures / "errors.png")]
 
 
-def _strip_tile(material: Material) -> int:
-    return max(120, round(material.options.tile * 0.6))
-
-
 def _strips(
     material: Material, rows: Sequence[Sequence[Tile]], file: str, title: str, note: str
 ) -> Path:
@@ -171,9 +168,14 @@ KINDS: tuple[tuple[str, str, Callable[[Material], list[Path]]], ...] = (
     ("Predictions", "What the generator makes of an input, and the final map.", prediction_strips),
     ("Flows", "Stage I: from a shape to the sphere.", flow_strips),
     ("Latent space", "Codes relative to the sphere's; registered edges are dark.", latents),
-    ("Losses", "Means over the epoch.", losses),
+    ("Losses", "Means over the epoch; broken: validation shapes on the way.", losses),
     ("Errors", "Implied correspondence against ground truth.", errors),
     ("Distortion", "Isometric distortion σ of every triangle.", distortion_sheet),
+    (
+        "Worst shapes",
+        "By mean σ, and by mean error to the others, the largest first; painted by σ.",
+        worst_shapes,
+    ),
     ("Shape by shape", "", single_shapes),
 )
 

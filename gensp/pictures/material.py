@@ -1,6 +1,5 @@
 """What an evaluation has to draw from: maps, folders of the stages, figures; and how much."""
 
-import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from gensp.errors import GenSPError
+from gensp.files import read_rows
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.spherical_map import SphericalMap
 from gensp.pictures import sheets
@@ -83,6 +83,11 @@ class Material:
         """Where the pictures go."""
         return self.folder / "pictures"
 
+    @property
+    def strip_tile(self) -> int:
+        """Side in pixels of one picture of a strip."""
+        return max(120, round(self.options.tile * 0.6))
+
     @cached_property
     def view(self) -> View:
         """The direction from which all shapes are seen."""
@@ -101,11 +106,19 @@ class Material:
     @cached_property
     def notes(self) -> dict[str, str]:
         """A line of figures for every shape, from shapes.csv."""
+        return {row["id"]: _note(row) for row in self.figures}
+
+    @cached_property
+    def figures(self) -> list[dict[str, str]]:
+        """The rows of shapes.csv, if it is there."""
         table = self.folder / "shapes.csv"
-        if not table.is_file():
-            return {}
-        with open(table, encoding="utf-8", newline="") as file:
-            return {row["id"]: _note(row) for row in csv.DictReader(file)}
+        return read_rows(table) if table.is_file() else []
+
+    def worst(self, figure: str, count: int) -> list[str]:
+        """Shapes with a map whose figure is largest, the largest first."""
+        known = [row for row in self.figures if row.get(figure) and row["id"] in self.maps]
+        known.sort(key=lambda row: -float(row[figure]))
+        return [row["id"] for row in known[:count]]
 
     def tile(self, name: str, image: np.ndarray) -> Tile:
         """A picture of a shape with its name, figures and split."""

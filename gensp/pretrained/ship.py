@@ -8,12 +8,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from gensp.errors import GenSPError, MissingStage, Unsupported
-from gensp.files import atomic_path, read_json, write_json
+from gensp.errors import DamagedFile, GenSPError, MissingStage, Unsupported
+from gensp.files import atomic_path, read_json, read_yaml, write_json
 from gensp.models import load_model
-from gensp.pretrained import FITS, FOLDER, LARGEST, TABLE, digest
+from gensp.pretrained import FITS, FOLDER, LARGEST, TABLE, Shipped, digest
 
 _KINDS = {f"{cls.__module__}.{cls.__name__}": kind for kind, cls in FITS.items()}
 _REFINE = ("pull", "energy", "floor", "max_iterations", "tolerance", "crowding")
@@ -26,20 +24,40 @@ def entry_of(maps: Path) -> dict[str, Any]:
     ------
     MissingStage
         The folder holds no configuration.
+    DamagedFile
+        It is no configuration of a parameterization.
+    Unsupported
+        The maps are not of a model.
     """
     file = maps / "config.yaml"
     if not file.is_file() or not (maps / "manifest.json").is_file():
         raise MissingStage(f"{maps}: a finished folder of stage=parameterize is required")
-    config = yaml.safe_load(file.read_text(encoding="utf-8"))
+    try:
+        return _entry(maps, read_yaml(file))
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        raise DamagedFile(
+            f"{file}: is damaged ({type(error).__name__}: {str(error)[:80]}); the configuration "
+            "of a parameterization by method=gensp is required; restore it, or make the stage "
+            "anew with force=true"
+        ) from error
+
+
+def _entry(maps: Path, config: Any) -> dict[str, Any]:
     if config["method"]["name"] != "gensp":
         raise Unsupported(f"{maps}: method=gensp is required; found {config['method']['name']}")
     fit = dict(config["method"]["object"]["fit"])
-    refine = config["refine"]["object"]
-    return {
+    refine = dict(config["refine"]["object"])
+    entry = {
         "method": {"level": config["method"]["object"]["level"], "own": config["fit"]["own"]},
         "fit": {"kind": _KINDS[fit.pop("_target_")], **fit},
         "refine": {key: refine[key] for key in _REFINE if key in refine},
     }
+    for key, value in {**entry["method"], **entry["refine"]}.items():
+        if not isinstance(value, int | float):
+            raise TypeError(f"{key} is {value!r}, no number")
+    # Whatever a fit or a refinement does not take is told here, not when the model is loaded.
+    Shipped(name="", sha256="", novel=0.0, **entry).settings()
+    return entry
 
 
 def ship(name: str, maps: Path, model: Path, novel: float) -> Path:

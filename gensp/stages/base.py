@@ -49,7 +49,9 @@ class FitStage(Stage):
 
     Every step begins from a random state that depends on the seed and the step alone, so a resumed
     training equals an uninterrupted one. All ranks draw alike and share out what they drew:
-    several ranks train as one does, up to rounding.
+    several ranks train as one does, up to rounding. So do the micro-batches of a step whose
+    gradients are accumulated: they draw alike, and what is no mean over shapes is added in the
+    last of them, when the codes of all have been seen.
     """
 
     def __init__(
@@ -61,6 +63,8 @@ class FitStage(Stage):
         self.compiled = False  # whether `fast` compiles, see `gensp.stages.speed`
         self._compiled: dict[int, Callable[..., Any]] = {}
         self.history: list[dict[str, float]] = []
+        # What a callback has measured at the end of this epoch, for its row of the history.
+        self.measured: dict[str, float] = {}
 
     def configure_optimizers(self) -> dict[str, Any]:
         """Adam with a cosine that ends at zero after the last step."""
@@ -94,7 +98,7 @@ class FitStage(Stage):
             )
 
     def on_train_batch_start(self, batch: Any, batch_idx: int) -> None:
-        """Start the step from its own random state."""
+        """Start the step from its own random state, which its micro-batches share."""
         step = (self.seed * 1_000_003 + self.global_step) * 1_009
         seed_everything(step % 2**32, verbose=False)
 
@@ -127,6 +131,11 @@ class FitStage(Stage):
         mine = len(range(rank, count, ranks))
         return slice(rank, None, ranks) if mine else slice(0, 1), ranks * mine / count
 
+    @property
+    def micro_batches(self) -> int:
+        """Over how many batches a step's gradients are accumulated; each weighs one of so many."""
+        return int(self.trainer.accumulate_grad_batches)
+
     def total(self, value: Tensor) -> Tensor:
         """The sum over all ranks."""
         if self.trainer.world_size == 1:
@@ -149,7 +158,9 @@ class FitStage(Stage):
             for name, value in self.trainer.callback_metrics.items()
             if name.startswith("train/")
         }
-        self.history.append({"epoch": self.current_epoch, "step": self.global_step, **means})
+        place = {"epoch": self.current_epoch, "step": self.global_step}
+        self.history.append({**place, **means, **self.measured})
+        self.measured = {}
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """The history travels with the weights."""

@@ -55,12 +55,11 @@ class GeneratorStage(FitStage):
         self.table.update(items.ids, self.encode.all(items.ids, items.clouds))
 
     def correspondence(self, codes: Tensor, batch: CorrespondenceBatch) -> Tensor:
-        """Eq. 10 over the shapes that count on this rank, with what it weighs among the ranks."""
+        """Eq. 10 over the shapes that count in this part of a step's batch, with its weight."""
         mine = slice(batch.first, None)
         generated = self.fast(self.generator)(codes[mine], batch.sphere[mine]).float()
-        known = batch.valid[mine].sum() * (batch.weight > 0)
-        share = self.trainer.world_size * known / self.total(known).clamp(min=1)
-        return share * correspondence_loss(generated, batch.targets[mine], batch.valid[mine])
+        loss = correspondence_loss(generated, batch.targets[mine], batch.valid[mine])
+        return batch.known_weight * loss
 
     def _inputs(self) -> list[int]:
         """Rows of the input shapes in the table."""
@@ -201,10 +200,10 @@ class FinetuneStage(GeneratorStage):
         data = batch.weight * surface_loss(generated, surfaces)
         self.log_losses(data=data)
         loss = data + self._kept(codes, batch) + self._covered(generated, batch)
-        if self.geometric_regularization:
+        if self.geometric_regularization and batch.ends:
             with single_precision(self.device):
                 deformation = self._deformation(random)
-            loss = loss + self.deformation_weight * deformation
+            loss = loss + self.micro_batches * self.deformation_weight * deformation
             self.log_losses(deformation=deformation)
         return loss
 

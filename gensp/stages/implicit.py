@@ -125,12 +125,13 @@ class ImplicitStage(FitStage):
         origin = origin_penalty(absolute[0])
         loss = data + self.encoder_weight * latents + self.origin_weight * origin
         self.log_losses(data=data, latents=latents, origin=origin)
-        if self.geometric_regularization and self.current_epoch >= self.regularize_from_epoch:
+        regularize = self.current_epoch >= self.regularize_from_epoch and batch.ends
+        if self.geometric_regularization and regularize:
             with single_precision(self.device):
                 deformation = self._deformation()
             self.log_losses(**{_SHARE: float(deformation is not None)})
             if deformation is not None:
-                loss = loss + self.deformation_weight * deformation
+                loss = loss + self.micro_batches * self.deformation_weight * deformation
                 self.log_losses(deformation=deformation)
         return loss
 

@@ -6,13 +6,18 @@ import sys
 import time
 import warnings
 from collections.abc import Mapping, Sequence
+from datetime import timedelta
 from typing import Any
 
 import torch
 from lightning import LightningDataModule, Trainer
+from lightning.fabric.plugins.environments import ClusterEnvironment, SLURMEnvironment
+from lightning.pytorch.strategies import DDPStrategy
 
+from gensp.ranks import started_outside
 from gensp.runs import CHECKPOINT, Run, seal
 from gensp.stages.base import Stage
+from gensp.stages.logged import log_pictures
 from gensp.terminal import report, say
 
 _MEANT_TO_BE_SO = (
@@ -43,6 +48,24 @@ def threads() -> int:
         return int(os.environ["OMP_NUM_THREADS"])
     own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return max(1, (own or 1) // int(os.environ.get("LOCAL_WORLD_SIZE", "1")))
+
+
+def ddp(hours: float) -> DDPStrategy:
+    """Ranks that wait so long for each other.
+
+    While the first makes the ending of a stage, or items of another take their time, the others
+    wait; torch's half an hour is soon over.
+    """
+    return DDPStrategy(timeout=timedelta(hours=hours))
+
+
+def environments() -> list[ClusterEnvironment]:
+    """SLURM, where it started this process, without Lightning's own way to go on in a new job.
+
+    That saves within an epoch, whence a training cannot be resumed exactly; a stage goes on from
+    its own checkpoint when the same command runs again.
+    """
+    return [SLURMEnvironment(auto_requeue=False)] if started_outside() == "slurm" else []
 
 
 def carry_out(
@@ -84,6 +107,7 @@ def conclude(
         }
         for logger in trainer.loggers:
             logger.log_metrics({f"end/{name}": value for name, value in metrics.items()})
+            log_pictures(logger, module.folder / "pictures")
             logger.save()
         stage = settings["stage"]["name"]
         seal(module.folder, stage=stage, settings=settings, metrics=metrics, facts=facts)

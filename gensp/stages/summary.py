@@ -12,6 +12,7 @@ GROUPS = ("train", "val", "test", "all")
 NORMALIZATION = "surface and sphere triangulations scaled to total area 4π, chordal triangles"
 THRESHOLDS = np.linspace(0, 0.1, 51)
 _DENSE = ("error", "error_rotated", "error_registered", "error_prediction")
+_SPARSE = (*_DENSE, "error_symmetric")
 _NEIGHBOURS = tuple(
     name + suffix for name in ("c", "c_area") for suffix in ("", "_rotated", "_registered")
 )
@@ -65,7 +66,7 @@ def group_figures(
         "neighbour_pairs": len(near),
         **_means(near, _NEIGHBOURS),
         "keypoint_pairs": len(keypoints),
-        **{f"keypoint_{key}": value for key, value in _means(keypoints, _DENSE).items()},
+        **{f"keypoint_{key}": value for key, value in _means(keypoints, _SPARSE).items()},
     }
 
 

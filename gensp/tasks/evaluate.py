@@ -164,7 +164,8 @@ def _evaluated(
     for known in (truth, keypoints):
         _require_fit(map, known, path)
     image = predicted_surface(path.parents[1], map.name, "fitted")
-    return EvaluatedMap(map, truth, keypoints, samples=samples, image=image)
+    symmetries = collection.symmetries(map.name)
+    return EvaluatedMap(map, truth, keypoints, samples=samples, image=image, symmetries=symmetries)
 
 
 def _require_fit(map: SphericalMap, truth: GroundTruth | None, path: Path) -> None:

@@ -1,6 +1,6 @@
 """Pairs of spherical maps: implied correspondences against ground truth (paper §5.1)."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -17,6 +17,7 @@ from gensp.geometry.consistency import (
     pair_rotation,
     prediction_error,
     sphere_uniform_weights,
+    symmetric_error,
 )
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.points import SurfacePoints
@@ -36,6 +37,9 @@ class EvaluatedMap:
     ----------
     image
         The surface that the map was read off, if it was.
+    symmetries
+        Sets of keypoint ids that symmetries of the shape exchange; None: no shape of the
+        collection has any, and no figure is made of them.
     """
 
     def __init__(
@@ -46,9 +50,10 @@ class EvaluatedMap:
         *,
         samples: int = 10_000,
         image: Mesh | None = None,
+        symmetries: Sequence[Sequence[int]] | None = None,
     ) -> None:
         self.map = replace(map, surface=normalize(map.mesh).vertices)
-        self.truth, self.keypoints = truth, keypoints
+        self.truth, self.keypoints, self.symmetries = truth, keypoints, symmetries
         self.prediction = None if image is None else GeneratedShape(self.map.mesh, image)
         self.samples = samples
         self.hausdorff = HausdorffIndex(self.map.mesh)
@@ -85,14 +90,33 @@ def pair_records(a: EvaluatedMap, b: EvaluatedMap) -> list[Record]:
         rows, others = common_points(a.keypoints, b.keypoints)
         if len(rows):
             points = a.keypoints.take(rows).at, b.keypoints.take(others).at
-            return [_sparse(a, b, points)]
+            return [_sparse(a, b, points, a.keypoints.ids[rows])]
     return []
 
 
-def _sparse(a: EvaluatedMap, b: EvaluatedMap, points: Points) -> Record:
+def _sparse(a: EvaluatedMap, b: EvaluatedMap, points: Points, ids: np.ndarray) -> Record:
     record, _ = _errors(a, b, points)
+    record |= _symmetric(a, b, points, ids)
     hausdorff = a.hausdorff.distance(b.hausdorff)
     return {"kind": "keypoints", "points": len(points[0]), **record, "hausdorff": hausdorff}
+
+
+def _symmetric(a: EvaluatedMap, b: EvaluatedMap, points: Points, ids: np.ndarray) -> Record:
+    """The error without rotation where keypoints of a symmetry may be exchanged.
+
+    Where a point is carried to, the symmetries of that shape count.
+    """
+    if a.symmetries is None or b.symmetries is None:
+        return {}
+    at_a, at_b = points
+    there = symmetric_error(a.map, b.map, at_a, at_b, _places(b.symmetries, ids))
+    back = symmetric_error(b.map, a.map, at_b, at_a, _places(a.symmetries, ids))
+    return {"error_symmetric": float((there.mean() + back.mean()) / 2)}
+
+
+def _places(groups: Sequence[Sequence[int]], ids: np.ndarray) -> list[list[int]]:
+    """Places of the members of every group among the points that are compared."""
+    return [np.flatnonzero(np.isin(ids, group)).tolist() for group in groups]
 
 
 def _dense(

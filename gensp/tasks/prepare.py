@@ -21,7 +21,7 @@ from gensp.geometry.points import SurfacePoints
 from gensp.geometry.preparation import DROPPED, Preparation, Prepared, words
 
 # Raised when the same input is to give other output.
-_VERSION = 1
+_VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -153,6 +153,7 @@ def _row(found: Prepared) -> Row:
         "faces_before": found.found.faces,
         "components_before": found.found.components,
         "genus_before": found.found.genus,
+        "self_intersecting_before": found.self_intersecting,
         "vertices": None if mesh is None else len(mesh.vertices),
         "faces": None if mesh is None else len(mesh.faces),
         "reason": found.reason,

@@ -84,23 +84,67 @@ def test_draws_depend_on_seed_and_epoch_alone(sdf: SdfModule) -> None:
     )
 
 
-@pytest.mark.parametrize("ranks", [1, 2, 3])
-def test_ranks_share_out_the_batches_of_one_rank(sdf: SdfModule, ranks: int) -> None:
-    whole = list(epoch_loader(sdf.dataset(), batch_size=3))
-    parts = [
-        list(epoch_loader(sdf.dataset(), batch_size=3, rank=rank, ranks=ranks))
+PARTS = [(1, 1), (2, 1), (3, 1), (1, 2), (1, 4), (2, 2), (2, 3)]
+
+
+def parts_of(module: SdfModule | CorrespondenceModule, ranks: int, micro: int) -> list[list]:
+    """For every step all of its parts, over the ranks and over the micro-batches."""
+    loaded = [
+        list(epoch_loader(module.dataset(), batch_size=3, micro=micro, rank=rank, ranks=ranks))
         for rank in range(ranks)
     ]
-    assert {len(part) for part in parts} == {len(whole)}
-    for batch, *shares in zip(whole, *parts, strict=True):
+    assert len({len(batches) for batches in loaded}) == 1
+    assert len(loaded[0]) % micro == 0, "every step has all of its micro-batches"
+    for batches in loaded:
+        assert [batch.ends for batch in batches] == [
+            (k + 1) % micro == 0 for k in range(len(batches))
+        ]
+    steps = range(0, len(loaded[0]), micro)
+    return [[batch for batches in loaded for batch in batches[k : k + micro]] for k in steps]
+
+
+@pytest.mark.parametrize(("ranks", "micro"), PARTS)
+def test_ranks_and_micro_batches_share_out_one_batch(
+    sdf: SdfModule, ranks: int, micro: int
+) -> None:
+    whole = list(epoch_loader(sdf.dataset(), batch_size=3))
+    for batch, shares in zip(whole, parts_of(sdf, ranks, micro), strict=True):
         ids = [id for share in shares for id in share.ids[1:]]
         assert sorted(ids) == sorted(batch.ids[1:])
-        # S_0 shows every rank the same cloud and the same samples.
+        # S_0 shows every part the same cloud and the same samples.
         assert all(torch.equal(share.points[0], batch.points[0]) for share in shares)
         assert all(share.drawn[0] == batch.drawn[0] for share in shares)
         means = [share.weight * share.distances[share.first :].mean() for share in shares]
         expected = batch.distances.mean()
         torch.testing.assert_close(torch.stack(means).mean(), expected, rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize(("ranks", "micro"), PARTS)
+def test_known_targets_weigh_alike_in_every_part(
+    carried: CorrespondenceModule, ranks: int, micro: int
+) -> None:
+    def mean(batch: CorrespondenceBatch) -> torch.Tensor:
+        valid = batch.valid[batch.first :]
+        return batch.targets[batch.first :][valid].square().sum() / valid.sum()
+
+    whole = list(epoch_loader(carried.dataset(), batch_size=3))
+    for batch, shares in zip(whole, parts_of(carried, ranks, micro), strict=True):
+        means = [share.known_weight * mean(share) for share in shares]
+        torch.testing.assert_close(torch.stack(means).mean(), mean(batch), rtol=1e-5, atol=1e-7)
+
+
+def test_the_first_batches_can_be_repeated(sdf: SdfModule) -> None:
+    """As debug=overfit does, which asks by number instead of by the sampler."""
+    dataset = sdf.dataset()
+    epoch_loader(dataset, batch_size=3, micro=2)
+    assert len(dataset) == 4
+    ids = [dataset[k].ids for k in range(len(dataset))]
+    assert ids == [
+        ["sphere", "bumpy"],
+        ["sphere", "ellipsoid"],
+        ["sphere", "dumbbell"],
+        ["sphere"],
+    ]
 
 
 def test_passes_lengthen_the_epoch(sdf: SdfModule) -> None:

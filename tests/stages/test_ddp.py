@@ -1,8 +1,9 @@
-"""Two processes on the CPU: one folder, the results of one process."""
+"""Two processes on the CPU, or accumulated gradients: one folder, the results of one batch."""
 
 import csv
 import json
 import shutil
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -95,6 +96,49 @@ def test_two_ranks_that_were_killed_go_on_to_the_same_bits(
     assert different(folder, whole) == []
 
 
+# Half of what the recipe has, twice.
+HALVED = {"implicit": 4, "initialize": 4, "finetune": 4}
+
+
+def accumulated(stage: str) -> tuple[str, ...]:
+    return (f"recipe.{stage}.batch={HALVED[stage]}", "trainer.accumulate_grad_batches=2")
+
+
+@pytest.mark.parametrize("stage", list(SHORT))
+def test_accumulated_gradients_train_as_one_batch_does(stage: str, smoke_copy: Path) -> None:
+    folder, words = smoke_copy / "smoke" / "full" / stage, short_words(stage, smoke_copy)
+    run_here(*words, f"recipe.{stage}.batch={2 * HALVED[stage]}", "force=true")
+    expected = losses(folder)
+    run_here(*words, *accumulated(stage), "force=true")
+    found = losses(folder)
+    assert found.keys() == expected.keys()
+    for name, values in expected.items():
+        np.testing.assert_allclose(found[name], values, rtol=0, atol=1e-6, err_msg=name)
+
+
+def test_two_ranks_accumulate_as_one_batch_does(smoke_copy: Path) -> None:
+    stage = "finetune"
+    folder, words = smoke_copy / "smoke" / "full" / stage, short_words(stage, smoke_copy)
+    run_here(*words, f"recipe.{stage}.batch={2 * HALVED[stage]}", "force=true")
+    expected = losses(folder)
+    train(*words, *accumulated(stage), "trainer=ddp_cpu", "force=true")
+    for name, values in losses(folder).items():
+        np.testing.assert_allclose(values, expected[name], rtol=0, atol=1e-6, err_msg=name)
+
+
+def test_accumulation_that_was_killed_goes_on_to_the_same_bits(smoke_copy: Path) -> None:
+    stage = "implicit"
+    folder = smoke_copy / "smoke" / "full" / stage
+    words = (*short_words(stage, smoke_copy), *accumulated(stage))
+    run_here(*words, "force=true")
+    whole = Path(shutil.move(folder, smoke_copy / "whole"))
+    kill_in_the_middle(folder, *words)
+    assert begun(folder)
+    assert not (folder / "manifest.json").exists(), "killed too late to be of use"
+    assert "resumed from its last checkpoint" in train(*words).stdout
+    assert different(folder, whole) == []
+
+
 def test_whole_pipeline_needs_an_outer_launcher(tmp_path: Path) -> None:
     with pytest.raises(Unsupported, match=r"one stage at a time .* torchrun"):
         run_here(*smoke_words(tmp_path), "trainer=ddp_cpu")
@@ -123,3 +167,28 @@ def test_torchrun_walks_stages_in_step(smoke: Path, smoke_copy: Path) -> None:
         assert_shared_out(stage, smoke_copy, smoke)
     assert len(losses(run / "implicit")["train/data"]) == 4
     assert done.stdout.count("] implicit") == 1
+
+
+def free_port() -> int:
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        return int(listening.getsockname()[1])
+
+
+def test_two_machines_share_out_items(smoke: Path, smoke_copy: Path) -> None:
+    """Two launchers of one rank each, as on two machines."""
+    shutil.rmtree(smoke_copy / "smoke" / "full" / "augment")
+    place = ("--master-addr", "127.0.0.1", "--master-port", str(free_port()))
+    launcher = ("-m", "torch.distributed.run", "--nnodes", "2", *place)
+    ranks = ("trainer=ddp_cpu", "trainer.num_nodes=2", "trainer.devices=1")
+    words = (*smoke_words(smoke_copy), "stage=augment", *ranks)
+    machines = [
+        subprocess.Popen(
+            [sys.executable, *launcher, f"--node-rank={node}", "train.py", *words],
+            cwd=ROOT,
+            env=environment(),
+        )
+        for node in range(2)
+    ]
+    assert [machine.wait(timeout=300) for machine in machines] == [0, 0]
+    assert_shared_out("augment", smoke_copy, smoke)

@@ -24,6 +24,7 @@ from gensp.runs import Run
 from gensp.stages.base import write_table
 from gensp.stages.evaluate import EvaluateStage
 from gensp.stages.summary import summarize, without_nan
+from gensp.tables import summary_markdown
 from gensp.tasks.evaluate import Evaluate, evaluate_items, evaluate_task
 from gensp.tasks.pairs import EvaluatedMap, pair_records
 
@@ -214,6 +215,56 @@ def test_pair_of_other_templates_is_compared_at_keypoints(
     assert record["points"] == 9
     assert record["error"] < 1e-9
     assert pair_records(one, EvaluatedMap(other.map)) == []
+
+
+def keypoint_pair(symmetries: tuple[object, object]) -> dict:
+    """Ellipsoids whose second map is turned by half about their own axis of symmetry."""
+    ball = icosphere(3)
+    turn = np.diag([-1.0, -1.0, 1.0])
+    places = {tuple(np.round(v, 6)): k for k, v in enumerate(ball.vertices)}
+    one, pole = 7, int(np.argmax(ball.vertices[:, 2]))
+    vertices = [one, places[tuple(np.round(turn @ ball.vertices[one], 6))], pole]
+    faces, corners = zip(*(np.argwhere(ball.faces == v)[0] for v in vertices), strict=True)
+    keypoints = GroundTruth(
+        "keypoints", np.array([4, 9, 2]), SurfacePoints(np.array(faces), np.eye(3)[list(corners)])
+    )
+    surface = ball.vertices * np.array([1.5, 0.8, 0.6])
+    spheres = (ball.vertices, ball.vertices @ turn.T)
+    maps = [SphericalMap(sphere, surface, ball.faces) for sphere in spheres]
+    shapes = [
+        EvaluatedMap(map, None, keypoints, symmetries=groups)
+        for map, groups in zip(maps, symmetries, strict=True)
+    ]
+    (record,) = pair_records(*shapes)
+    moved = np.linalg.norm(2 * shapes[0].map.surface[one][:2])
+    return record | {"expected": 2 / 3 * moved / np.sqrt(shapes[0].map.mesh.area)}
+
+
+def test_keypoints_that_a_symmetry_exchanges_may_be_exchanged() -> None:
+    known = keypoint_pair(([(4, 9)], [(4, 9)]))
+    assert known["error"] == pytest.approx(known["expected"], rel=1e-6)
+    assert known["error_symmetric"] < 1e-9
+    # The shape that a point is carried to tells its symmetries: one of both directions has any.
+    half = keypoint_pair(([(4, 9)], []))
+    assert half["error_symmetric"] == pytest.approx(half["expected"] / 2, rel=1e-6)
+    # The pole belongs to no group, and points of a group are not all taken to the nearest.
+    none = keypoint_pair(([(4, 2)], [(4, 2)]))
+    assert none["error_symmetric"] <= none["error"]
+    assert none["error_symmetric"] > known["expected"] / 3
+    assert "error_symmetric" not in keypoint_pair((None, None))
+
+
+def test_the_symmetric_error_has_a_column_beside_the_plain_one() -> None:
+    pair = keypoint_pair(([(4, 9)], [(4, 9)])) | {"first": "a", "second": "b", "group": "train"}
+    rows = [
+        {"id": id, "split": "train", "bad_faces": 0, "faces": 9, "degree": 1} for id in ("a", "b")
+    ]
+    summary = summarize(rows, [pair], NAMES, 6)
+    found = summary["groups"]["train"]
+    assert found["keypoint_error"] == pytest.approx(pair["error"])
+    assert found["keypoint_error_symmetric"] < 1e-9
+    text = summary_markdown(summary)
+    assert "| keypoints | keypoints (symmetric) |" in text
 
 
 def test_pair_figures_are_symmetric(

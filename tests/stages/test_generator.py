@@ -1,3 +1,5 @@
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +96,7 @@ def fit(
 ) -> GeneratorStage:
     callbacks = list(more.pop("callbacks", ()))
     trainer = Trainer(
+        accumulate_grad_batches=more.pop("accumulate_grad_batches", 1),
         max_epochs=epochs,
         accelerator="cpu",
         logger=False,
@@ -112,6 +115,27 @@ def test_correspondences_of_ellipsoids_are_learnt(tmp_path: Path, form: str) -> 
     stage = fit(initialize_stage(tmp_path, form), correspondences(passes=15), 8)
     losses = [row["train/correspondence"] for row in stage.history]
     assert losses[-1] < losses[0] / 10
+
+
+@pytest.mark.parametrize("make", [initialize_stage, finetune_stage])
+@pytest.mark.parametrize("micro", [2, 3, 4])
+def test_accumulated_gradients_are_those_of_one_batch(
+    tmp_path: Path, make: Callable[..., GeneratorStage], micro: int
+) -> None:
+    def gradients(size: int, micro: int) -> list[torch.Tensor]:
+        stage, data, found = make(tmp_path), correspondences(), []
+        data.batching = replace(data.batching, size=size)
+        stage.on_before_optimizer_step = lambda optimizer: found.extend(
+            weight.grad.clone() for weight in stage.parameters() if weight.grad is not None
+        )
+        fit(stage, data, 1, accumulate_grad_batches=micro)
+        assert stage.trainer.global_step == 1
+        return found
+
+    # Three shapes and S_0 in one batch: of size 4, or of enough parts that hold 4 together.
+    expected = gradients(12, 1)
+    for one, other in zip(gradients(12 // micro, micro), expected, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-5, atol=1e-6)
 
 
 def test_initialize_leaves_its_encoder_as_it_was_and_scales_codes(tmp_path: Path) -> None:

@@ -2,11 +2,22 @@
 
 import csv
 import json
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import begun, finished_items, kill_in_the_middle, run_here
+from commands import (
+    ROOT,
+    begun,
+    environment,
+    finished_items,
+    kill_in_the_middle,
+    run_here,
+    train,
+)
 from compare import different
 from layouts import (
     ANNOTATED,
@@ -283,3 +294,40 @@ def test_words_that_would_be_ignored_are_refused(
 def test_raw_collections_name_the_command_that_prepares_them(shapes: str, tmp_path: Path) -> None:
     with pytest.raises(Unsupported, match=rf"stage=prepare shapes={shapes} shapes\.root="):
         run_here("stage=augment", f"shapes={shapes}", f"shapes.root={tmp_path}")
+
+
+def test_surfaces_that_pass_through_themselves_are_counted(tmp_path: Path) -> None:
+    inside = np.array(BALL.vertices)
+    inside[3] = -1.5 * inside[3]
+    save_mesh(BALL, tmp_path / "raw" / "ball.ply")
+    save_mesh(BALL.with_vertices(inside), tmp_path / "raw" / "crossing.ply")
+    rows = prepare(tmp_path / "raw", tmp_path / "out")
+    assert rows["ball"]["self_intersecting_before"] == "0"
+    count = int(rows["crossing"]["self_intersecting_before"])
+    assert count > 5
+    card = (tmp_path / "out" / "CARD.md").read_text()
+    assert f"| usable | 1 | 2 | {count} to {count}, median {count} |" in card
+
+
+def test_a_finished_stage_is_kept_without_loading_what_computes(raw: Path, tmp_path: Path) -> None:
+    """One command for several collections; the second time no geometry is loaded."""
+    shutil.copytree(raw, tmp_path / "data" / "one")
+    shutil.copytree(raw, tmp_path / "data" / "two")
+    places = (f"shapes.root={tmp_path}/data/${{shapes.name}}", f"paths.cache={tmp_path}/cache")
+    task = ("-m", "stage=prepare", "recipe=smoke", "shapes=folder", "shapes.name=one,two")
+    task = (*task, *places, f"prepare.out={tmp_path}/made/${{shapes.name}}", "logger=none")
+    train(*task, "workers.jobs=1")
+    made = {path.parent.name for path in (tmp_path / "made").glob("*/manifest.json")}
+    assert made == {"one", "two"}
+    again = subprocess.run(
+        [sys.executable, "-X", "importtime", "train.py", *task],
+        cwd=ROOT,
+        env=environment(),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert again.stdout.count("finished before, kept") == 2
+    loaded = {line.rsplit("|", 1)[-1].strip().split(".")[0] for line in again.stderr.splitlines()}
+    assert "hydra" in loaded
+    assert not loaded & {"torch", "lightning", "igl", "trimesh", "scipy", "numba", "matplotlib"}
