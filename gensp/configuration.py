@@ -131,7 +131,7 @@ def _without_workers(node: Any) -> Any:
         return {
             key: _without_workers(value)
             for key, value in node.items()
-            if key not in ("workers", "num_workers")
+            if key not in ("workers", "num_workers", "store")
         }
     return [_without_workers(value) for value in node] if isinstance(node, list) else node
 

@@ -15,6 +15,7 @@ from gensp.machine import first_process, forget_peak_memory
 from gensp.runs import Progress, Run, begin
 from gensp.stages.callbacks import WholeCheckpoints
 from gensp.stages.session import carry_out, close, conclude, environments, quiet, threads
+from gensp.stages.speed import require_fast
 
 
 def execute(
@@ -32,12 +33,15 @@ def execute(
         The stage's headline metric; None where nothing is kept.
     """
     began = time.monotonic()
+    if cfg.stage.verb == "fit":
+        require_fast(cfg.trainer.precision, cfg.compile)
     forget_peak_memory()
     quiet()
     seed_everything(cfg.seed, workers=True, verbose=False)
     torch.set_num_threads(cfg.threads or threads())
     data = made(cfg.data, inputs=inputs, folder=folder)
     module = made(cfg.stage.module, inputs=inputs, folder=folder)
+    module.compiled = cfg.compile
     # After the inputs have proved good: a mistyped folder leaves no trace.
     _begin(cfg, folder, settings, state)
     loggers = [made(node, save_dir=str(folder)) for node in (cfg.logger or {}).values()]

@@ -21,7 +21,7 @@ ALLOWED = {
     "models": CORE | {"geometry"},
     "losses": CORE | {"geometry"},
     "compute": CORE,
-    "data": CORE | {"geometry", "compute"},
+    "data": CORE | {"geometry", "compute", "checksums"},
     "methods": CORE | {"geometry", "models", "data.clouds"},
     "pretrained": CORE | {"methods", "models"},
     "machine": set(),

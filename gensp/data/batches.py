@@ -1,11 +1,14 @@
 """Batches of the learning stages, and datasets whose draws depend on (seed, epoch, index) alone.
 
-S_0 opens every batch. Everything is kept in memory; a batch is gathered in one go. The batch of an
-optimiser step is shared out over the ranks, and over the micro-batches whose gradients are
-accumulated: the mean of the losses of all its parts is its loss.
+S_0 opens every batch. The arrays may lie in memory or on disk, where only the rows drawn are read;
+a batch is gathered in one go, ahead of the step that needs it. The batch of an optimiser step is
+shared out over the ranks, and over the micro-batches whose gradients are accumulated: the mean of
+the losses of all its parts is its loss.
 """
 
+from collections import deque
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -16,9 +19,11 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, DistributedSampler
 
 from gensp.data.clouds import SurfaceSampler
+from gensp.data.store import MappedArray
 
 BatchT = TypeVar("BatchT", bound="SdfBatch | CorrespondenceBatch")
 Drawn = tuple[str, int]  # a shape and the number of one of its clouds
+Rows = Tensor | MappedArray
 Key = tuple[int, int]  # an epoch and the place of an item in it
 
 
@@ -85,7 +90,7 @@ class EpochDataset(Dataset[Any], Generic[BatchT]):
     """
 
     def __init__(
-        self, ids: Sequence[str], clouds: Float[Tensor, "i s c 3"], *, seed: int, passes: int = 1
+        self, ids: Sequence[str], clouds: Float[Rows, "i s c 3"], *, seed: int, passes: int = 1
     ) -> None:
         self.ids = list(ids)
         self.clouds = clouds
@@ -194,7 +199,29 @@ def epoch_loader(
         Shapes in the batch of an optimiser step over all ranks and micro-batches, S_0 included.
     """
     dataset.share_out(batch_size, micro=micro, rank=rank, ranks=ranks)
-    return DataLoader(dataset, batch_size=None, sampler=EpochSampler(dataset), collate_fn=_as_is)
+    return AheadLoader(dataset, batch_size=None, sampler=EpochSampler(dataset), collate_fn=_as_is)
+
+
+class AheadLoader(DataLoader[Any]):
+    """Gathers the next batches in a thread while a step computes; their order stays.
+
+    Draws have generators of their own, so the thread changes no number.
+    """
+
+    ahead = 2
+
+    def __iter__(self) -> Any:
+        """Batches in the sampler's order."""
+        return _ahead(super().__iter__(), self.ahead)
+
+
+def _ahead(batches: Iterator[Any], count: int) -> Iterator[Any]:
+    end = object()
+    with ThreadPoolExecutor(max_workers=1) as thread:
+        waiting = deque(thread.submit(next, batches, end) for _ in range(count))
+        while (batch := waiting.popleft().result()) is not end:
+            waiting.append(thread.submit(next, batches, end))
+            yield batch
 
 
 def _as_is(batch: BatchT) -> BatchT:
@@ -207,9 +234,9 @@ class SdfDataset(EpochDataset[SdfBatch]):
     def __init__(
         self,
         ids: Sequence[str],
-        clouds: Float[Tensor, "i s c 3"],
-        points: Float[Tensor, "i s 3"],
-        distances: Float[Tensor, "i s"],
+        clouds: Float[Rows, "i s c 3"],
+        points: Float[Rows, "i s 3"],
+        distances: Float[Rows, "i s"],
         *,
         count: int,
         seed: int,
@@ -240,10 +267,10 @@ class CorrespondenceDataset(EpochDataset[CorrespondenceBatch]):
     def __init__(
         self,
         ids: Sequence[str],
-        clouds: Float[Tensor, "i s c 3"],
+        clouds: Float[Rows, "i s c 3"],
         sphere: Float[Tensor, "v 3"],
-        targets: Float[Tensor, "i v 3"],
-        valid: Bool[Tensor, "i v"],
+        targets: Float[Rows, "i v 3"],
+        valid: Bool[Rows, "i v"],
         surfaces: Sequence[SurfaceSampler],
         *,
         count: int,

@@ -41,25 +41,29 @@ def sphere_cloud(count: int, seed: int = 0) -> Float[np.ndarray, "count 3"]:
 
 @dataclass(frozen=True)
 class SurfaceSampler:
-    """Area-uniform random points of one surface, drawn as float32 tensors."""
+    """Area-uniform random points of one surface, drawn as float32 tensors.
 
-    corners: Float[Tensor, "m 3 3"]
-    cumulative: Float[Tensor, " m"]
+    Both arrays may be mapped from a file: only what is drawn is read.
+    """
+
+    corners: Float[np.ndarray, "m 3 3"]
+    cumulative: Float[np.ndarray, " m"]
 
     @classmethod
     def of(cls, mesh: Mesh) -> "SurfaceSampler":
         """Prepare a mesh for sampling."""
-        corners = torch.from_numpy(mesh.vertices[mesh.faces].astype(np.float32))
-        share = np.cumsum(mesh.face_areas) / mesh.area
-        return cls(corners, torch.from_numpy(share))
+        corners = mesh.vertices[mesh.faces].astype(np.float32)
+        return cls(corners, np.cumsum(mesh.face_areas) / mesh.area)
 
     def draw(self, count: int, generator: torch.Generator) -> Float[Tensor, "count 3"]:
         """Random points; equal generators give equal points."""
-        face = self._faces(torch.rand(count, generator=generator, dtype=torch.float64))
+        face = self._faces(torch.rand(count, generator=generator, dtype=torch.float64).numpy())
         u, v = torch.rand((2, count), generator=generator)
         root = u.sqrt()
         weights = torch.stack([1 - root, root * (1 - v), root * v], dim=1)
-        return torch.einsum("kj,kjc->kc", weights, self.corners[face])
+        corners = torch.from_numpy(np.array(self.corners[face]))
+        return torch.einsum("kj,kjc->kc", weights, corners)
 
-    def _faces(self, level: Float[Tensor, " k"]) -> Int[Tensor, " k"]:
-        return torch.searchsorted(self.cumulative, level).clamp_(max=len(self.cumulative) - 1)
+    def _faces(self, level: Float[np.ndarray, " k"]) -> Int[np.ndarray, " k"]:
+        face: np.ndarray = np.searchsorted(self.cumulative, level)
+        return np.minimum(face, len(self.cumulative) - 1)

@@ -1,7 +1,9 @@
 """Training items that stage I leaves behind: the inputs and the shapes between them and S_0."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import overload
 
 import numpy as np
 
@@ -73,3 +75,28 @@ def item_mesh(folder: Path | str, item: str) -> Mesh:
     """Mesh of an item: closed, genus 0, centred, area 4π, with its own triangulation."""
     arrays = load_npz(item_path(folder, item))
     return Mesh(arrays["vertices"].astype(np.float64), arrays["faces"].astype(np.int64), item)
+
+
+class ItemMeshes(Sequence[Mesh]):
+    """Meshes of named items, read when asked for and not kept."""
+
+    def __init__(self, folder: Path | str, names: Sequence[str]) -> None:
+        self.folder, self.names = Path(folder), list(names)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @overload
+    def __getitem__(self, place: int) -> Mesh: ...
+    @overload
+    def __getitem__(self, place: slice) -> Sequence[Mesh]: ...
+    def __getitem__(self, place: int | slice) -> Mesh | Sequence[Mesh]:
+        """One mesh, or some of them still unread."""
+        if isinstance(place, slice):
+            return ItemMeshes(self.folder, self.names[place])
+        return item_mesh(self.folder, self.names[place])
+
+
+def names_of(meshes: Sequence[Mesh]) -> list[str]:
+    """Names of meshes, without reading those that are not in memory."""
+    return meshes.names if isinstance(meshes, ItemMeshes) else [mesh.name for mesh in meshes]

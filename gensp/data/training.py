@@ -1,6 +1,7 @@
 """DataModules of the learning stages: distance samples (II), correspondences (III-b and IV)."""
 
 import math
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -9,31 +10,32 @@ from typing import Any, Self
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from lightning import LightningDataModule
 from torch import Tensor
 from torch.utils.data import DataLoader
 
 from gensp.compute import Workers, shared_out
+from gensp.data.arrays import Content, TrainingArrays
 from gensp.data.batches import (
     CorrespondenceDataset,
     EpochDataset,
     SdfDataset,
     epoch_loader,
 )
-from gensp.data.clouds import SurfaceSampler, point_clouds, sphere_cloud
-from gensp.data.items import item_mesh, training_items
+from gensp.data.items import ItemMeshes, names_of, training_items
 from gensp.data.modules import places
-from gensp.data.sdf import SdfSampler, cached_samples, keep_samples, sample_path
+from gensp.data.sdf import SdfSampler, keep_samples, sample_path
 from gensp.data.shapes import SPHERE
+from gensp.data.store import MappedArray
 from gensp.errors import GenSPError, MissingData
 from gensp.files import load_npz
 from gensp.geometry.common_source import known_mean
 from gensp.geometry.mesh import Mesh
-from gensp.geometry.sphere import icosphere, icosphere_of
+from gensp.geometry.sphere import icosphere_of
 from gensp.runs import Run
 
-_SPHERE_LEVEL = 5
+_AT_ONCE = 2**19  # numbers of a mean that are held in memory
 
 
 @dataclass(frozen=True)
@@ -64,26 +66,56 @@ class Batching:
 
 
 class FitModule(LightningDataModule):
-    """Items held in memory; see `gensp.data.batches` for how batches are drawn.
+    """Items that stay on disk; see `gensp.data.batches` for how batches are drawn.
+
+    Parameters
+    ----------
+    meshes
+        One after another they are gone through; those of `ItemMeshes` are not kept.
+    cache
+        Where the arrays are kept that batches are drawn from; without, a folder that is thrown
+        away with this module.
 
     Attributes
     ----------
     ids
         All items of an epoch in fixed order, S_0 first.
-    clouds
-        Their encoder clouds in that order, several draws of each.
     """
 
-    def __init__(self, meshes: Sequence[Mesh], *, batching: Batching, seed: int) -> None:
+    def __init__(
+        self,
+        meshes: Sequence[Mesh],
+        *,
+        batching: Batching,
+        seed: int,
+        cache: Path | str | None,
+    ) -> None:
         super().__init__()
-        self.meshes = list(meshes)
-        self.ids = [SPHERE, *(mesh.name for mesh in meshes)]
+        self.meshes = meshes
+        self.ids = [SPHERE, *names_of(meshes)]
         self.batching = batching
         self.seed = seed
-        count, draws = batching.cloud, batching.draws
-        sphere = np.stack([sphere_cloud(count, draw) for draw in range(draws)])
-        clouds = [sphere, *(point_clouds(mesh, count, draws) for mesh in meshes)]
-        self.clouds: Float[Tensor, "items s c 3"] = torch.from_numpy(np.stack(clouds))
+        if cache is None:
+            self._thrown_away = tempfile.TemporaryDirectory(prefix="gensp-")
+            cache = self._thrown_away.name
+        self.stores = Path(cache) / "training"
+        # The cache is seen by all machines, as the run folder is.
+        self.prepare_data_per_node = False
+
+    @cached_property
+    def arrays(self) -> TrainingArrays:
+        """What batches are drawn from; the meshes are gone through once to name it."""
+        contents = [Content.of(mesh) for mesh in self.meshes]
+        return TrainingArrays(self.stores, self.meshes, contents)
+
+    @cached_property
+    def clouds(self) -> Float[MappedArray, "items s c 3"]:
+        """The items' encoder clouds in the order of `ids`, several draws of each."""
+        return self.arrays.clouds(self.batching.cloud, self.batching.draws)
+
+    def prepare_data(self) -> None:
+        """Write the arrays, on one rank; the others find them."""
+        _ = self._loaded
 
     @cached_property
     def _loaded(self) -> EpochDataset[Any]:
@@ -105,13 +137,7 @@ class FitModule(LightningDataModule):
 
 
 class SdfModule(FitModule):
-    """Signed distance samples of input and augmented shapes (Stage II).
-
-    Attributes
-    ----------
-    bound
-        Half width of the cube that the uniform samples fill; it holds all shapes.
-    """
+    """Signed distance samples of input and augmented shapes (Stage II)."""
 
     def __init__(
         self,
@@ -123,14 +149,16 @@ class SdfModule(FitModule):
         seed: int = 0,
         workers: Workers | None = None,
     ) -> None:
-        super().__init__(meshes, batching=batching, seed=seed)
+        super().__init__(meshes, batching=batching, seed=seed, cache=cache)
         self.sampler = sampler
         self.cache = Path(cache) / "sdf"
         self.workers = workers or Workers()
-        # The cache is seen by all machines, as the run folder is.
-        self.prepare_data_per_node = False
-        extent = max([1.0, *(float(np.abs(mesh.vertices).max()) for mesh in meshes)])
-        self.bound = math.ceil(11 * extent) / 10
+
+    @cached_property
+    def bound(self) -> float:
+        """Half width of the cube that the uniform samples fill; it holds all shapes."""
+        extent = max([1.0, *(entry.extent for entry in self.arrays.contents)])
+        return math.ceil(11 * extent) / 10
 
     @classmethod
     def from_runs(
@@ -139,23 +167,22 @@ class SdfModule(FitModule):
         """All training items of `augment`; without augmentation (No-DA) the inputs alone."""
         augment = inputs["augment"].folder
         items = training_items(augment, augmented)
-        return cls([item_mesh(augment, item.id) for item in items], **settings)
+        return cls(ItemMeshes(augment, [item.id for item in items]), **settings)
 
-    def prepare_data(self) -> None:
-        """Fill the cache, on the first rank, with all workers.
+    def sample(self) -> None:
+        """Fill the cache of samples with all workers.
 
         Raises
         ------
         GenSPError
             Workers die of a shape.
         """
-        paths = {
-            mesh.name: sample_path(mesh, self.sampler, self.bound, self.cache)
-            for mesh in self.meshes
-        }
-        missing = {mesh.name: mesh for mesh in self.meshes if not paths[mesh.name].is_file()}
+        paths = {mesh.name: self._path(mesh) for mesh in self.meshes}
+        missing = {id: k for k, (id, path) in enumerate(paths.items()) if not path.is_file()}
         done = shared_out(
-            lambda id: partial(keep_samples, missing[id], self.sampler, self.bound, self.cache),
+            lambda id: partial(
+                keep_samples, self.meshes[missing[id]], self.sampler, self.bound, self.cache
+            ),
             list(missing),
             self.workers,
             found=lambda id: paths[id] if paths[id].is_file() else None,
@@ -168,17 +195,17 @@ class SdfModule(FitModule):
                 "memory; lower recipe.implicit.sdf, or leave the shape out"
             )
 
+    def _path(self, mesh: Mesh) -> Path:
+        return sample_path(mesh, self.sampler, self.bound, self.cache)
+
     def dataset(self) -> SdfDataset:
-        """Pools of samples, read from the cache."""
-        pools = [self.sampler.of_sphere(self.bound)]
-        pools += [
-            cached_samples(mesh, self.sampler, self.bound, self.cache) for mesh in self.meshes
-        ]
+        """Pools of samples, made of those in the cache."""
+        pools = self.arrays.pools(self.sampler, self.bound, self.cache, self.sample)
         return SdfDataset(
             self.ids,
             self.clouds,
-            torch.from_numpy(np.stack([pool.points for pool in pools])),
-            torch.from_numpy(np.stack([pool.distances for pool in pools])),
+            pools["points"],
+            pools["distances"],
             count=self.batching.points,
             seed=self.seed,
             passes=self.batching.passes,
@@ -191,16 +218,16 @@ class CorrespondenceModule(FitModule):
     def __init__(
         self,
         meshes: Sequence[Mesh],
-        targets: Float[np.ndarray, "i v 3"],
-        valid: np.ndarray,
+        targets: Sequence[Float[np.ndarray, "v 3"]] | Float[np.ndarray, "i v 3"],
+        valid: Sequence[Bool[np.ndarray, " v"]] | Bool[np.ndarray, "i v"],
         *,
         batching: Batching,
         seed: int = 0,
+        store: Path | str | None = None,
     ) -> None:
-        super().__init__(meshes, batching=batching, seed=seed)
-        self.sphere = icosphere_of(targets.shape[1])
-        self.targets = np.concatenate([self.sphere.vertices[None], targets]).astype(np.float32)
-        self.valid = np.concatenate([np.ones_like(valid[:1]), valid])
+        super().__init__(meshes, batching=batching, seed=seed, cache=store)
+        self.sphere = icosphere_of(len(targets[0]))
+        self.carried = targets, valid
 
     @classmethod
     def from_runs(cls, inputs: Mapping[str, Run], folder: Path, **settings: Any) -> Self:
@@ -212,44 +239,80 @@ class CorrespondenceModule(FitModule):
                 f"{carried}: holds no correspondences; at least one shape is required; "
                 "run stage=correspond again"
             )
-        arrays = [load_npz(file) for file in files]
-        augment = inputs["augment"].folder
-        return cls(
-            [item_mesh(augment, file.stem) for file in files],
-            np.stack([entry["points"] for entry in arrays]),
-            np.stack([entry["valid"].astype(bool) for entry in arrays]),
-            **settings,
-        )
+        meshes = ItemMeshes(inputs["augment"].folder, [file.stem for file in files])
+        return cls(meshes, _Entries(files, "points"), _Entries(files, "valid"), **settings)
+
+    @cached_property
+    def _images(self) -> dict[str, MappedArray]:
+        return self.arrays.images(self.sphere.vertices, *self.carried)
+
+    @property
+    def targets(self) -> Float[MappedArray, "items v 3"]:
+        """Where the vertices belong on every item."""
+        return self._images["targets"]
+
+    @property
+    def valid(self) -> Bool[MappedArray, "items v"]:
+        """Where that is known."""
+        return self._images["valid"]
 
     def mean_target(self, items: Sequence[int]) -> Float[Tensor, "v 3"]:
         """Mean place of the vertices over the items where it is known; elsewhere that on S_0."""
-        mean = known_mean(self.targets[items], self.valid[items], self.targets[0])
-        return torch.from_numpy(mean.astype(np.float32))
+        targets, valid = self.targets.mapped(), self.valid.mapped()
+        step = max(1, _AT_ONCE // max(1, len(items)))
+        parts = [slice(k, k + step) for k in range(0, targets.shape[1], step)]
+        means = [known_mean(targets[items, p], valid[items, p], targets[0, p]) for p in parts]
+        return torch.from_numpy(np.concatenate(means).astype(np.float32))
 
-    def shared_surface(self, items: Sequence[int]) -> dict[str, np.ndarray]:
-        """The icosphere on the given items, as the arrays of `models.atlas.Atlas`."""
-        images = self.targets[items]
+    def shared_surface(self, items: Sequence[int]) -> dict[str, Any]:
+        """The icosphere on the given items, as the arrays of `models.atlas.Atlas`.
+
+        The images are read for those items alone that are asked of them.
+        """
+        # Whatever maps agree serve as guides: here they agree by construction.
+        maps = np.broadcast_to(self.sphere.vertices, (len(items), *self.sphere.vertices.shape))
         return {
             "ids": np.array([self.ids[k] for k in items]),
             "sphere": self.sphere.vertices,
             "faces": self.sphere.faces,
-            "images": images,
-            # Whatever maps agree serve as guides: here they agree by construction.
-            "maps": np.broadcast_to(self.sphere.vertices, images.shape),
+            "images": _Chosen(self.targets, items),
+            "maps": maps,
         }
 
     def dataset(self) -> CorrespondenceDataset:
         """Targets of all icosphere vertices, and samplers of all surfaces."""
-        ball = icosphere(_SPHERE_LEVEL)
         return CorrespondenceDataset(
             self.ids,
             self.clouds,
             torch.from_numpy(self.sphere.vertices.astype(np.float32)),
-            torch.from_numpy(self.targets),
-            torch.from_numpy(self.valid),
-            [SurfaceSampler.of(mesh) for mesh in (ball, *self.meshes)],
+            self.targets,
+            self.valid,
+            self.arrays.surfaces(),
             count=self.batching.points,
             surface_count=self.batching.surface_points,
             seed=self.seed,
             passes=self.batching.passes,
         )
+
+
+class _Entries(Sequence[np.ndarray]):
+    """One array of every file, read when asked for."""
+
+    def __init__(self, files: Sequence[Path], name: str) -> None:
+        self.files, self.name = files, name
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+    def __getitem__(self, place: Any) -> Any:
+        return load_npz(self.files[place])[self.name]
+
+
+class _Chosen:
+    """Some items of a mapped array, of which again some are read."""
+
+    def __init__(self, array: MappedArray, items: Sequence[int]) -> None:
+        self.array, self.items = array, items
+
+    def __getitem__(self, kept: Sequence[int]) -> np.ndarray:
+        return self.array[[self.items[k] for k in kept]].numpy()

@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -14,6 +14,7 @@ from gensp.compute import Row, stored_rows
 from gensp.errors import GenSPError, TrainingDiverged
 from gensp.files import write_text
 from gensp.runs import Run
+from gensp.stages.speed import compiled_call
 
 
 class Stage(LightningModule):
@@ -59,6 +60,8 @@ class FitStage(Stage):
         super().__init__(folder=folder)
         self.learning_rate = learning_rate
         self.seed = seed
+        self.compiled = False  # whether `fast` compiles, see `gensp.stages.speed`
+        self._compiled: dict[int, Callable[..., Any]] = {}
         self.history: list[dict[str, float]] = []
         # What a callback has measured at the end of this epoch, for its row of the history.
         self.measured: dict[str, float] = {}
@@ -73,6 +76,14 @@ class FitStage(Stage):
             "optimizer": optimizer,
             "lr_scheduler": {"scheduler": schedule, "interval": "step"},
         }
+
+    def fast(self, network: torch.nn.Module) -> Callable[..., Any]:
+        """A network for losses that need its first derivatives alone; compiled if asked for."""
+        if not self.compiled:
+            return network
+        if id(network) not in self._compiled:
+            self._compiled[id(network)] = compiled_call(network)
+        return self._compiled[id(network)]
 
     def log_losses(self, **terms: Tensor | float) -> None:
         """Log loss terms as train/<term>, averaged over the epoch and the ranks."""

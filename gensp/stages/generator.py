@@ -19,6 +19,7 @@ from gensp.models import Atlas, Generator, PointNet2Encoder, jacobian, load_mode
 from gensp.runs import Run
 from gensp.stages.base import FitStage
 from gensp.stages.latents import CloudCodes, CodeTable, draws, save_codes
+from gensp.stages.speed import single_precision
 from gensp.tasks.correspond import is_input
 from gensp.tasks.pairing import SHARED
 
@@ -45,7 +46,7 @@ class GeneratorStage(FitStage):
         self.shared, self.kept_shapes = shared, kept_shapes
         self.encoder = encoder.train().requires_grad_(False)
         self.generator = generator.train()
-        self.encode = CloudCodes(encoder)
+        self.encode = CloudCodes(encoder, self.folder)
 
     def setup(self, stage: str) -> None:
         """Encode all items once."""
@@ -56,7 +57,7 @@ class GeneratorStage(FitStage):
     def correspondence(self, codes: Tensor, batch: CorrespondenceBatch) -> Tensor:
         """Eq. 10 over the shapes that count in this part of a step's batch, with its weight."""
         mine = slice(batch.first, None)
-        generated = self.generator(codes[mine], batch.sphere[mine])
+        generated = self.fast(self.generator)(codes[mine], batch.sphere[mine]).float()
         loss = correspondence_loss(generated, batch.targets[mine], batch.valid[mine])
         return batch.known_weight * loss
 
@@ -194,13 +195,14 @@ class FinetuneStage(GeneratorStage):
         codes = self._codes(batch)
         mine = slice(batch.first, None)
         p = self._turned_ball(random).to(codes).expand(len(codes[mine]), -1, -1)
-        generated = self.generator(codes[mine], p)
+        generated = self.fast(self.generator)(codes[mine], p).float()
         surfaces = [self.surfaces[id] for id in batch.ids[mine]]
         data = batch.weight * surface_loss(generated, surfaces)
         self.log_losses(data=data)
         loss = data + self._kept(codes, batch) + self._covered(generated, batch)
         if self.geometric_regularization and batch.ends:
-            deformation = self._deformation(random)
+            with single_precision(self.device):
+                deformation = self._deformation(random)
             loss = loss + self.micro_batches * self.deformation_weight * deformation
             self.log_losses(deformation=deformation)
         return loss
@@ -208,7 +210,7 @@ class FinetuneStage(GeneratorStage):
     def _codes(self, batch: CorrespondenceBatch) -> Tensor:
         if not self.train_encoder:
             return self.table.of(batch.ids)
-        codes = self.encode(batch.drawn, batch.clouds)
+        codes = self.encode(batch.drawn, batch.clouds).float()
         codes = codes - codes[:1]
         self.table.update(batch.ids, codes, self.total)
         return codes
@@ -255,13 +257,21 @@ def shared_surface(folder: Path) -> dict[str, np.ndarray] | None:
 
 
 class Surfaces(dict[str, ClosestPointTree]):
-    """Closest-point trees of the items of a folder, built when first asked for."""
+    """Closest-point trees of the items of a folder, built when asked for.
 
-    def __init__(self, folder: Path) -> None:
+    The `kept` asked for last stay: a tree takes a megabyte, and longer to query than to build.
+    """
+
+    def __init__(self, folder: Path, kept: int = 64) -> None:
         super().__init__()
-        self.folder = folder
+        self.folder, self.kept = folder, kept
 
-    def __missing__(self, id: str) -> ClosestPointTree:
-        mesh = icosphere(5) if id == SPHERE else item_mesh(self.folder, id)
-        self[id] = ClosestPointTree(mesh)
-        return self[id]
+    def __getitem__(self, id: str) -> ClosestPointTree:
+        tree = self.pop(id) if id in self else self._built(id)
+        self[id] = tree
+        while len(self) > self.kept:
+            del self[next(iter(self))]
+        return tree
+
+    def _built(self, id: str) -> ClosestPointTree:
+        return ClosestPointTree(icosphere(5) if id == SPHERE else item_mesh(self.folder, id))

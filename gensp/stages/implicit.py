@@ -15,6 +15,7 @@ from gensp.losses import encoder_penalty, implicit_deformation, origin_penalty, 
 from gensp.models import ImplicitField, PointNet2Encoder, save_model
 from gensp.stages.base import FitStage
 from gensp.stages.latents import CloudCodes, CodeTable, draws, save_codes
+from gensp.stages.speed import single_precision
 from gensp.terminal import warn
 
 _SHARE = "level_set_share"
@@ -100,7 +101,7 @@ class ImplicitStage(FitStage):
         self.geometric_regularization = geometric_regularization
         self.regularize_from_epoch = regularize_from_epoch
         self.sampling = sampling
-        self.encode = CloudCodes(encoder)
+        self.encode = CloudCodes(encoder, self.folder)
         self.level_sets: list[LevelSet] = []
         self.extracted = -sampling.every
 
@@ -110,11 +111,11 @@ class ImplicitStage(FitStage):
 
     def training_step(self, batch: SdfBatch, index: int) -> Tensor:
         """Eq. 9 and the penalty that holds S_0 at the origin."""
-        absolute = self.encode(batch.drawn, batch.clouds)
+        absolute = self.encode(batch.drawn, batch.clouds).float()
         codes = absolute - absolute[:1]
         self.table.update(batch.ids, codes, self.total)
         counted, mine = codes[batch.first :], slice(batch.first, None)
-        predicted = self.field(counted, batch.points[mine])
+        predicted = self.fast(self.field)(counted, batch.points[mine])
         data = batch.weight * sdf_loss(predicted, batch.distances[mine], self.norm)
         latents = (
             batch.weight * encoder_penalty(counted)
@@ -126,7 +127,8 @@ class ImplicitStage(FitStage):
         self.log_losses(data=data, latents=latents, origin=origin)
         regularize = self.current_epoch >= self.regularize_from_epoch and batch.ends
         if self.geometric_regularization and regularize:
-            deformation = self._deformation()
+            with single_precision(self.device):
+                deformation = self._deformation()
             self.log_losses(**{_SHARE: float(deformation is not None)})
             if deformation is not None:
                 loss = loss + self.micro_batches * self.deformation_weight * deformation

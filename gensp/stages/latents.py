@@ -8,20 +8,27 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from gensp.data.batches import Drawn
+from gensp.data.batches import Drawn, Rows
 from gensp.files import save_npz
 from gensp.geometry.correspondence import spanning_tree
 from gensp.models import Grouping, PointNet2Encoder
+from gensp.stages.groupings import Groupings
 
 _BATCH = 16
 
 
 class CloudCodes:
-    """The encoder on clouds known by name: every cloud's neighbourhoods are searched once."""
+    """The encoder on clouds known by name: every cloud's neighbourhoods are searched once.
 
-    def __init__(self, encoder: PointNet2Encoder) -> None:
+    Parameters
+    ----------
+    folder
+        Where the neighbourhoods are kept, see `Groupings`.
+    """
+
+    def __init__(self, encoder: PointNet2Encoder, folder: Path | None = None) -> None:
         self.encoder = encoder
-        self._groupings: dict[Drawn, Grouping] = {}
+        self._groupings = Groupings(encoder.settings["groups"], folder)
 
     def __call__(
         self, drawn: Sequence[Drawn], clouds: Float[Tensor, "b c 3"]
@@ -34,20 +41,22 @@ class CloudCodes:
         """The neighbourhoods of a batch, from the store where it has them."""
         for name, cloud in zip(drawn, clouds, strict=True):
             if name not in self._groupings:
-                self._groupings[name] = self.encoder.group(cloud[None])
+                self._groupings.keep(name, self.encoder.group(cloud[None]))
         # Lightning moves networks to the CPU when a fit ends: neighbourhoods follow the clouds.
-        return Grouping.cat([self._groupings[name].to(clouds.device) for name in drawn])
+        return Grouping.cat([self._groupings.of(name) for name in drawn]).to(clouds.device)
 
     @torch.no_grad()
-    def all(self, ids: Sequence[str], clouds: Float[Tensor, "i s c 3"]) -> Float[Tensor, "i d"]:
+    def all(self, ids: Sequence[str], clouds: Float[Rows, "i s c 3"]) -> Float[Tensor, "i d"]:
         """Codes e(S) − e(S_0) of all items, S_0 first: means over the clouds of each."""
-        clouds = clouds.to(self.encoder.origin.device)
-        draws = clouds.shape[1]
-        names = [(id, draw) for id in ids for draw in range(draws)]
-        parts = [slice(k, k + _BATCH) for k in range(0, len(names), _BATCH)]
-        flat = clouds.flatten(0, 1)
-        codes = torch.cat([self(names[part], flat[part]) for part in parts])
-        codes = codes.unflatten(0, (len(ids), draws)).mean(dim=1)
+        device, draws = self.encoder.origin.device, clouds.shape[1]
+        flat = range(len(ids) * draws)
+        parts = [flat[k : k + _BATCH] for k in range(0, len(flat), _BATCH)]
+        found = []
+        for part in parts:
+            rows, which = [k // draws for k in part], [k % draws for k in part]
+            names = [(ids[row], draw) for row, draw in zip(rows, which, strict=True)]
+            found.append(self(names, clouds[rows, which].to(device)))
+        codes = torch.cat(found).unflatten(0, (len(ids), draws)).mean(dim=1)
         return codes - codes[:1]
 
 

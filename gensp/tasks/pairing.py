@@ -15,8 +15,8 @@ from gensp.data.items import item_mesh
 from gensp.errors import RegistrationFailed, Unsupported
 from gensp.files import content_hash, load_npz, save_npz
 from gensp.geometry.guided_registration import Guided, MappedShape, register_guided, restarted
+from gensp.geometry.neighbour_pairs import agreeing_pairs, nearest_pairs, star_pairs
 from gensp.geometry.registration import Acceptance, RegistrationSettings
-from gensp.geometry.rotation_registration import register_rotation
 from gensp.geometry.spherical_map import SphericalMap
 from gensp.methods.hierarchical import dirichlet
 from gensp.tasks.correspond import is_input
@@ -90,24 +90,14 @@ class RegisterPair:
     def pairs(self) -> list[str]:
         """The items: pairs worth registering."""
         codes = self.codes()
-        latent = np.linalg.norm(codes[:, None] - codes[None], axis=2)
         if self.neighbours == 0:
-            chosen = _star(latent)
+            chosen = star_pairs(codes)
         else:
-            chosen = _nearest(latent, self.neighbours)
+            chosen = nearest_pairs(codes, self.neighbours)
             if self.guides:
-                chosen |= _nearest(-self._agreement(), self.neighbours)
+                signals = [self.shape(id).signal for id in self.ids]
+                chosen |= agreeing_pairs(signals, self.neighbours)
         return [f"{self.ids[i]}/{self.ids[j]}" for i, j in sorted(chosen)]
-
-    def _agreement(self) -> Float[np.ndarray, "k k"]:
-        """Correlation of the densities of two maps after the best rotation."""
-        signals = [self.shape(id).signal for id in self.ids]
-        found = np.zeros((len(signals), len(signals)))
-        for i in range(len(signals)):
-            for j in range(i):
-                turn = register_rotation(signals[i], signals[j], candidates=1)[0]
-                found[i, j] = found[j, i] = turn.correlation
-        return found
 
     def __call__(self, item: str) -> Row:
         """A row of both registrations."""
@@ -156,19 +146,6 @@ class RegisterPair:
 def pair_path(folder: Path, parent: str, child: str) -> Path:
     """Where the registration of a parent to a child is kept."""
     return folder / "edges" / parent / f"{child}.npz"
-
-
-def _nearest(distance: Float[np.ndarray, "k k"], count: int) -> set[tuple[int, int]]:
-    """Unordered pairs of everything with its `count` nearest others."""
-    away = distance + np.where(np.eye(len(distance), dtype=bool), np.inf, 0)
-    near = np.argsort(away, axis=1, kind="stable")[:, : min(count, len(away) - 1)]
-    return {(min(i, int(j)), max(i, int(j))) for i, row in enumerate(near) for j in row}
-
-
-def _star(distance: Float[np.ndarray, "k k"]) -> set[tuple[int, int]]:
-    """Pairs of everything with the one that is nearest to all."""
-    centre = int(distance.sum(axis=1).argmin())
-    return {(min(centre, k), max(centre, k)) for k in range(len(distance)) if k != centre}
 
 
 def _shape(augment: Path, maps: Path, id: str) -> MappedShape:
