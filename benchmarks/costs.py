@@ -27,9 +27,9 @@ from rich.console import Console
 
 from gensp.files import read_json, write_json
 from gensp.geometry import correspondence, neighbour_pairs
-from gensp.geometry.correspondence import spanning_tree
 from gensp.geometry.neighbour_pairs import degree_norms, nearest_pairs
 from gensp.geometry.rotation_registration import density_signal, register_rotation
+from gensp.geometry.spanning_tree import spanning_tree
 from gensp.geometry.sphere import icosphere
 from gensp.pictures.curves import figure, save_figure
 from gensp.run import run

@@ -21,12 +21,12 @@ import scipy.sparse.csgraph as graph
 from gensp.compute import stored_rows
 from gensp.data.ground_truth import common_points
 from gensp.data.shapes import ShapeCollection
-from gensp.geometry.correspondence import Tree
 from gensp.geometry.distance import ClosestPointTree
 from gensp.geometry.guided_registration import PATIENT
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.registration import Acceptance, RegistrationSettings, register
 from gensp.geometry.registration_graph import least_strained_tree
+from gensp.geometry.spanning_tree import Tree
 from gensp.stages.pairing import PairedStage
 from gensp.tasks.pairing import RegisterPair
 

@@ -23,9 +23,9 @@ import torch
 from lightning import Callback, LightningDataModule, LightningModule, Trainer, seed_everything
 from rich.console import Console
 
-from gensp.data.batches import AheadLoader
 from gensp.data.blobs import BlobFamily, generate_blobs
 from gensp.data.items import item_path
+from gensp.data.loading import AheadLoader
 from gensp.data.sdf import SdfSampler
 from gensp.data.training import Batching, CorrespondenceModule, SdfModule
 from gensp.files import read_json, save_npz, write_json

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from gensp.checksums import MANIFEST, listing, require_intact
 from gensp.errors import DamagedFile, OutputError
-from gensp.files import read_json, write_json
+from gensp.files import load_npz, read_json, write_json
 
 # Writes the arrays of a store into a folder, see `write_rows`.
 Writer = Callable[[Path], None]
@@ -163,3 +163,26 @@ def write_rows(
         os.fsync(file.fileno())
     if written != np.prod(shape, dtype=np.int64):
         raise ValueError(f"{path.name}: {written} numbers for the shape {tuple(shape)}")
+
+
+class Entries(Sequence[np.ndarray]):
+    """One array of every file, read when asked for."""
+
+    def __init__(self, files: Sequence[Path], name: str) -> None:
+        self.files, self.name = files, name
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+    def __getitem__(self, place: Any) -> Any:
+        return load_npz(self.files[place])[self.name]
+
+
+class Chosen:
+    """Some items of a mapped array, of which again some are read."""
+
+    def __init__(self, array: MappedArray, items: Sequence[int]) -> None:
+        self.array, self.items = array, items
+
+    def __getitem__(self, kept: Sequence[int]) -> np.ndarray:
+        return self.array[[self.items[k] for k in kept]].numpy()

@@ -17,19 +17,14 @@ from torch.utils.data import DataLoader
 
 from gensp.compute import Workers, shared_out
 from gensp.data.arrays import Content, TrainingArrays
-from gensp.data.batches import (
-    CorrespondenceDataset,
-    EpochDataset,
-    SdfDataset,
-    epoch_loader,
-)
+from gensp.data.batches import CorrespondenceDataset, EpochDataset, SdfDataset
 from gensp.data.items import ItemMeshes, names_of, training_items
+from gensp.data.loading import epoch_loader
 from gensp.data.modules import places
 from gensp.data.sdf import SdfSampler, keep_samples, sample_path
 from gensp.data.shapes import SPHERE
-from gensp.data.store import MappedArray
+from gensp.data.store import Chosen, Entries, MappedArray
 from gensp.errors import GenSPError, MissingData
-from gensp.files import load_npz
 from gensp.geometry.common_source import known_mean
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import icosphere_of
@@ -240,7 +235,7 @@ class CorrespondenceModule(FitModule):
                 "run stage=correspond again"
             )
         meshes = ItemMeshes(inputs["augment"].folder, [file.stem for file in files])
-        return cls(meshes, _Entries(files, "points"), _Entries(files, "valid"), **settings)
+        return cls(meshes, Entries(files, "points"), Entries(files, "valid"), **settings)
 
     @cached_property
     def _images(self) -> dict[str, MappedArray]:
@@ -275,7 +270,7 @@ class CorrespondenceModule(FitModule):
             "ids": np.array([self.ids[k] for k in items]),
             "sphere": self.sphere.vertices,
             "faces": self.sphere.faces,
-            "images": _Chosen(self.targets, items),
+            "images": Chosen(self.targets, items),
             "maps": maps,
         }
 
@@ -293,26 +288,3 @@ class CorrespondenceModule(FitModule):
             seed=self.seed,
             passes=self.batching.passes,
         )
-
-
-class _Entries(Sequence[np.ndarray]):
-    """One array of every file, read when asked for."""
-
-    def __init__(self, files: Sequence[Path], name: str) -> None:
-        self.files, self.name = files, name
-
-    def __len__(self) -> int:
-        return len(self.files)
-
-    def __getitem__(self, place: Any) -> Any:
-        return load_npz(self.files[place])[self.name]
-
-
-class _Chosen:
-    """Some items of a mapped array, of which again some are read."""
-
-    def __init__(self, array: MappedArray, items: Sequence[int]) -> None:
-        self.array, self.items = array, items
-
-    def __getitem__(self, kept: Sequence[int]) -> np.ndarray:
-        return self.array[[self.items[k] for k in kept]].numpy()

@@ -5,174 +5,23 @@ points of the node's own mesh, and a registered edge takes them to the child by 
 coordinates. Pulled the other way, shapes arrive on the sphere with many folds (errata).
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import scipy.sparse.csgraph as graph
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_matrix, csr_matrix, issparse
 from scipy.spatial import cKDTree
-from scipy.spatial.distance import cdist
 
-from gensp.errors import Unsupported
 from gensp.geometry.distance import ClosestPointTree, barycentric_coordinates
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.points import SurfacePoints
 from gensp.geometry.registration import folded
+from gensp.geometry.spanning_tree import Tree
 
-ALL_PAIRS = 2000  # codes up to which all pairs of them are looked at
 _NO_PARENT = -1
 _CANDIDATES = 64
 _NOT_MUCH_FARTHER = 3.0
 _COLLAPSED = 1e-4
-
-
-@dataclass(frozen=True)
-class Tree:
-    """A rooted spanning tree over k shapes.
-
-    Attributes
-    ----------
-    parent
-        Parent of every node (k,), -1 at the root.
-    order
-        All nodes (k,), parents before children.
-    weight
-        Latent distance of every node to its parent (k,), 0 at the root.
-    """
-
-    parent: Int[np.ndarray, " k"]
-    order: Int[np.ndarray, " k"]
-    weight: Float[np.ndarray, " k"]
-
-    def path(self, node: int) -> list[int]:
-        """Nodes from the root to `node`."""
-        path = [int(node)]
-        while self.parent[path[-1]] != _NO_PARENT:
-            path.append(int(self.parent[path[-1]]))
-        return path[::-1]
-
-    def depth(self) -> Int[np.ndarray, " k"]:
-        """Number of edges between the root and every node."""
-        depth = np.zeros(len(self.parent), dtype=np.int64)
-        for node in self.order[1:]:
-            depth[node] = depth[self.parent[node]] + 1
-        return depth
-
-
-def spanning_tree(codes: Float[np.ndarray, "k d"], root: int, kind: str = "minimum") -> Tree:
-    """Spanning tree of the graph of latent distances, rooted at the sphere.
-
-    `minimum` is the paper's minimum spanning tree; `shortest` the tree of shortest paths for
-    squared distances, which is shallower; `star` joins every shape to the root (No-GP). The graph
-    is complete up to `ALL_PAIRS` codes; of more it is that of `latent_neighbours`.
-
-    Raises
-    ------
-    Unsupported
-        Another kind.
-    """
-    if kind not in ("minimum", "shortest", "star"):
-        raise Unsupported(
-            f"tree kind '{kind}' is unknown; minimum, shortest or star is required; "
-            "set recipe.correspond.tree"
-        )
-    distance = _distances(codes, root, kind)
-    if kind == "star":
-        parent = np.full(len(codes), root)
-        order = np.concatenate([[root], np.delete(np.arange(len(codes)), root)])
-    else:
-        order, parent = _paths(distance, root, kind)
-    parent = np.array(parent, dtype=np.int64)
-    parent[root] = root
-    if issparse(distance):
-        weight = np.linalg.norm(codes - codes[parent], axis=1)
-    else:
-        weight = distance[np.arange(len(codes)), parent]
-    parent[root], weight[root] = _NO_PARENT, 0
-    return Tree(parent, np.array(order, dtype=np.int64), weight)
-
-
-def _distances(codes: Float[np.ndarray, "k d"], root: int, kind: str) -> Any:
-    if len(codes) <= ALL_PAIRS:
-        return cdist(codes, codes)
-    return latent_neighbours(codes, root, to_root=kind == "shortest")
-
-
-def _paths(distance: Any, root: int, kind: str) -> tuple[np.ndarray, np.ndarray]:
-    """Order and parents of a tree in a graph of distances, dense or sparse."""
-    sparse = issparse(distance)
-    if kind == "minimum":
-        edges = graph.minimum_spanning_tree(_stored(distance))
-        order, parent = graph.breadth_first_order(edges, root, directed=False)
-        return order, parent
-    cost = _stored(distance.power(2) if sparse else np.square(distance))
-    # A sparse graph has every edge once.
-    length, parent = graph.dijkstra(
-        cost, directed=not sparse, indices=root, return_predecessors=True
-    )
-    return np.argsort(length, kind="stable"), parent
-
-
-def latent_neighbours(
-    codes: Float[np.ndarray, "k d"], root: int, *, count: int = 16, to_root: bool = False
-) -> csr_matrix:
-    """Distances (k, k) of every code to its nearest others, as a connected sparse graph.
-
-    Parts that hang together with the root in no other way are joined where they come nearest to
-    its part. Memory grows with k alone.
-
-    Parameters
-    ----------
-    to_root
-        Whether every code is joined to the root too.
-    """
-    far, near = cKDTree(codes).query(codes, k=min(count + 1, len(codes)))
-    rows = np.repeat(np.arange(len(codes)), near.shape[1])
-    edges = [np.stack([rows, near.ravel()])]
-    found = coo_matrix((far.ravel() + 1, edges[0]), shape=(len(codes),) * 2)
-    edges.append(_bridges(codes, graph.connected_components(found, directed=False)[1], root))
-    if to_root:
-        edges.append(np.stack([np.full(len(codes), root), np.arange(len(codes))]))
-    i, j = np.unique(np.sort(np.concatenate(edges, axis=1), axis=0), axis=1)
-    i, j = i[i != j], j[i != j]
-    length = np.sqrt(np.square(codes[i] - codes[j]).sum(axis=1))
-    return csr_matrix((length, (i, j)), shape=(len(codes),) * 2)
-
-
-def _bridges(
-    codes: Float[np.ndarray, "k d"], part: Int[np.ndarray, " k"], root: int
-) -> Int[np.ndarray, "2 e"]:
-    """One edge from every part but the root's to the root's part, where they come nearest."""
-    home, others = np.flatnonzero(part == part[root]), np.flatnonzero(part != part[root])
-    if len(others) == 0:
-        return np.zeros((2, 0), dtype=np.int64)
-    gap, at = cKDTree(codes[home]).query(codes[others])
-    nearest = np.lexsort((gap, part[others]))
-    chosen = nearest[np.unique(part[others][nearest], return_index=True)[1]]
-    return np.stack([others[chosen], home[at[chosen]]])
-
-
-def _stored(cost: Any) -> Any:
-    # A zero in the matrix reads as "no edge": twins are joined by a negligible cost instead.
-    least = 1e-12 * max(float(cost.max()), 1.0)
-    if issparse(cost):
-        cost.data = np.maximum(cost.data, least)
-        return cost
-    return np.where(np.eye(len(cost), dtype=bool), 0, np.maximum(cost, least))
-
-
-def ancestors(
-    tree: Tree, targets: Sequence[int] | Int[np.ndarray, " t"]
-) -> Bool[np.ndarray, " k"]:
-    """Which nodes lie on a path from the root to one of `targets`, ends included."""
-    used = np.zeros(len(tree.parent), dtype=bool)
-    used[np.asarray(targets, dtype=np.int64)] = True
-    for node in tree.order[:0:-1]:
-        used[tree.parent[node]] |= used[node]
-    return used
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from jaxtyping import Complex, Float, Int
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from gensp.geometry.correspondence import ALL_PAIRS
 from gensp.geometry.rotation_registration import register_rotation
+from gensp.geometry.spanning_tree import ALL_PAIRS
 
 ALL_AGREEMENTS = 200  # shapes up to which every map is turned to every other
 CANDIDATES = 64  # of each of more

@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse.csgraph as graph
 from scipy.sparse import csr_matrix
 
-from gensp.geometry.correspondence import ALL_PAIRS, Tree
+from gensp.geometry.spanning_tree import ALL_PAIRS, Tree
 
 _NO_PARENT = -1
 _LANDMARKS = 64

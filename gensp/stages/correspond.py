@@ -9,7 +9,8 @@ import numpy as np
 
 from gensp.compute import Row, Workers
 from gensp.files import load_npz, write_json
-from gensp.geometry.correspondence import Correspondence, Tree, propagate
+from gensp.geometry.correspondence import Correspondence, propagate
+from gensp.geometry.spanning_tree import Tree
 from gensp.geometry.sphere import icosphere
 from gensp.runs import Run
 from gensp.stages.base import ItemStage, write_table

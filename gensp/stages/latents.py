@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from gensp.data.batches import Drawn, Rows
 from gensp.files import save_npz
-from gensp.geometry.correspondence import spanning_tree
+from gensp.geometry.spanning_tree import spanning_tree
 from gensp.models import Grouping, PointNet2Encoder
 from gensp.stages.groupings import Groupings
 

@@ -10,17 +10,14 @@ from jaxtyping import Float
 from gensp.compute import Row, Workers, run_items, stored_rows
 from gensp.data.shapes import SPHERE
 from gensp.files import save_npz, write_json
-from gensp.geometry.correspondence import (
-    Tree,
-    carry,
-    correspondence,
-)
+from gensp.geometry.correspondence import carry, correspondence
 from gensp.geometry.distance import ClosestPointTree
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.points import SurfacePoints
 from gensp.geometry.registration_graph import least_strained_tree, reached_nodes
 from gensp.geometry.registration_step import corners
 from gensp.geometry.shared_sphere import place_for_all
+from gensp.geometry.spanning_tree import Tree
 from gensp.geometry.sphere import icosphere
 from gensp.geometry.spherical_map import SphericalMap
 from gensp.runs import Run

@@ -15,7 +15,6 @@ from gensp.data.items import item_mesh
 from gensp.data.shapes import SPHERE
 from gensp.errors import BadMesh, EmptyLevelSet, RegistrationFailed
 from gensp.files import load_npz, save_npz
-from gensp.geometry.correspondence import Tree, ancestors, spanning_tree
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.registration import (
     Acceptance,
@@ -24,6 +23,7 @@ from gensp.geometry.registration import (
     RegistrationSettings,
     register_with_retries,
 )
+from gensp.geometry.spanning_tree import Tree, ancestors, spanning_tree
 from gensp.geometry.sphere import icosphere
 
 

@@ -9,8 +9,9 @@ import pytest
 import torch
 
 from gensp.compute import Workers
-from gensp.data.batches import CorrespondenceDataset, EpochDataset, SdfDataset, epoch_loader
+from gensp.data.batches import CorrespondenceDataset, EpochDataset, SdfDataset
 from gensp.data.clouds import SurfaceSampler, point_clouds, sphere_cloud
+from gensp.data.loading import epoch_loader
 from gensp.data.sdf import SdfSampler
 from gensp.data.store import MappedArray, stored, write_rows
 from gensp.data.training import Batching, CorrespondenceModule, SdfModule

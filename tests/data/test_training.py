@@ -8,7 +8,8 @@ import torch
 from lightning import LightningModule, Trainer
 
 from gensp.compute import Workers
-from gensp.data.batches import CorrespondenceBatch, SdfBatch, epoch_loader
+from gensp.data.batches import CorrespondenceBatch, SdfBatch
+from gensp.data.loading import epoch_loader
 from gensp.data.sdf import SdfSampler
 from gensp.data.training import Batching, CorrespondenceModule, SdfModule
 from gensp.errors import MissingData

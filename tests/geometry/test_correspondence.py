@@ -4,18 +4,11 @@ import numpy as np
 import pytest
 
 from gensp.errors import Unsupported
-from gensp.geometry.correspondence import (
-    Tree,
-    ancestors,
-    carry,
-    closest_agreeing,
-    correspondence,
-    propagate,
-    spanning_tree,
-)
+from gensp.geometry.correspondence import carry, closest_agreeing, correspondence, propagate
 from gensp.geometry.distance import closest_point
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.points import SurfacePoints, sample_surface
+from gensp.geometry.spanning_tree import Tree, ancestors, spanning_tree
 from gensp.geometry.sphere import icosphere
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gensp.geometry import correspondence, neighbour_pairs, registration_graph
-from gensp.geometry.correspondence import latent_neighbours, spanning_tree
+from gensp.geometry import neighbour_pairs, registration_graph
+from gensp.geometry import spanning_tree as trees
 from gensp.geometry.neighbour_pairs import (
     agreeing_pairs,
     degree_norms,
@@ -13,13 +13,14 @@ from gensp.geometry.neighbour_pairs import (
 )
 from gensp.geometry.registration_graph import least_strained_tree
 from gensp.geometry.rotation_registration import density_signal, register_rotation
+from gensp.geometry.spanning_tree import latent_neighbours, spanning_tree
 from gensp.geometry.sphere import icosphere
 
 
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever the size, there are too many pairs."""
-    for module in (correspondence, neighbour_pairs, registration_graph):
+    for module in (trees, neighbour_pairs, registration_graph):
         monkeypatch.setattr(module, "ALL_PAIRS", 2)
 
 
@@ -79,7 +80,7 @@ def test_the_neighbour_graph_is_connected_and_small(codes: np.ndarray) -> None:
     i, j = found.nonzero()
     gap = np.linalg.norm(codes[i] - codes[j], axis=1)
     np.testing.assert_allclose(np.asarray(found[i, j]).ravel(), gap)
-    parts = correspondence.graph.connected_components(found, directed=False)[0]
+    parts = trees.graph.connected_components(found, directed=False)[0]
     assert parts == 1
 
 
