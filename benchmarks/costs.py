@@ -49,7 +49,8 @@ SHORT = (
     *("recipe.implicit.epochs=4", "recipe.implicit.regularize_from_epoch=2"),
     *("recipe.initialize.epochs=4", "recipe.finetune.epochs=2"),
     *("recipe.correspond.max_failures=1000", "recipe.parameterize.max_failures=1000"),
-    *("workers.jobs=1", "threads=1", "logger=none", "experiment=smoke"),
+    # Of a call that was interrupted nothing is kept: what is finished would cost nothing.
+    *("force=true", "workers.jobs=1", "threads=1", "logger=none", "experiment=smoke"),
 )
 Row = dict[str, Any]
 

@@ -45,14 +45,10 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
         temporary = Path(name)
         yield temporary
         _flush(temporary)
-        os.chmod(temporary, 0o666 & ~_umask())
+        os.chmod(temporary, permitted(0o666))
         os.replace(temporary, path)
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise OutputError(
-            f"{path}: cannot be written ({reason}); free space or permission is required; "
-            "name another folder with paths.runs=FOLDER"
-        ) from error
+        raise unwritable(path, error, "paths.runs") from error
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
@@ -64,10 +60,19 @@ def _flush(path: Path) -> None:
         os.fsync(file.fileno())
 
 
-def _umask() -> int:
+def permitted(mode: int) -> int:
+    """The mode without what the umask takes away, which temporaries are made without."""
     mask = os.umask(0)
     os.umask(mask)
-    return mask
+    return mode & ~mask
+
+
+def unwritable(path: Path, error: OSError, word: str) -> OutputError:
+    """The one line for a file or folder that cannot be written; `word` names another place."""
+    return OutputError(
+        f"{path}: cannot be written ({error.strerror or error}); free space or permission is "
+        f"required; name another folder with {word}=FOLDER"
+    )
 
 
 def write_text(path: Path | str, text: str) -> None:

@@ -215,6 +215,16 @@ def test_accumulated_batches_are_the_settings_of_one() -> None:
     assert accumulated != settings_of(composed(*words), {})
 
 
+def test_compilation_is_a_setting_of_trainings_where_it_is_on() -> None:
+    plain = settings_of(composed("stage=implicit"), {})
+    assert "compile" not in plain["trainer"]
+    assert settings_of(composed("stage=implicit", "compile=true"), {}) != plain
+    items = [
+        settings_of(composed("stage=parameterize", w), {}) for w in ("compile=true", "seed=0")
+    ]
+    assert items[0] == items[1]
+
+
 @pytest.mark.parametrize("compute", choices("compute"))
 def test_where_work_runs_decides_no_number(compute: str) -> None:
     words = ("stage=correspond", "recipe=smoke")

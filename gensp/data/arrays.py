@@ -5,7 +5,7 @@ They are written one mesh at a time, so writing needs no more memory than drawin
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, overload
 
@@ -13,13 +13,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gensp.data.clouds import SurfaceSampler, point_clouds, sphere_cloud
+from gensp.data.items import sphere_mesh
+from gensp.data.mapped import MappedArray, stored, write_rows
 from gensp.data.sdf import SdfSampler, SdfSamples, cached_samples
-from gensp.data.store import MappedArray, stored, write_rows
 from gensp.files import content_hash
 from gensp.geometry.mesh import Mesh
-from gensp.geometry.sphere import icosphere
 
-_SPHERE_LEVEL = 5
+# Part of every store's name; raised when the same meshes and numbers are to give other arrays.
+_VERSION = 1
 
 
 @dataclass(frozen=True)
@@ -42,17 +43,26 @@ class TrainingArrays:
     """Stores of arrays of some meshes below a folder, S_0 the first row of each.
 
     Every method returns what lies in the store, and writes it before where it is missing.
+
+    Attributes
+    ----------
+    known
+        Stores that were found whole, by kind; they are neither named nor checked again.
     """
 
     folder: Path
     meshes: Sequence[Mesh]
     contents: Sequence[Content]
+    known: dict[str, dict[str, MappedArray]] = field(default_factory=dict)
 
     def _stored(
         self, kind: str, write: Callable[[Path], None], *numbers: Any
     ) -> dict[str, MappedArray]:
-        key = content_hash([entry.digest for entry in self.contents], *numbers)
-        return stored(self.folder / kind, key, write)
+        if kind not in self.known:
+            digests = [entry.digest for entry in self.contents]
+            key = content_hash(_VERSION, digests, *numbers)
+            self.known[kind] = stored(self.folder / kind, key, write)
+        return self.known[kind]
 
     def clouds(self, count: int, draws: int) -> Float[MappedArray, "items s c 3"]:
         """Encoder clouds, several draws of each."""
@@ -96,6 +106,8 @@ class TrainingArrays:
         valid: Iterable[Bool[np.ndarray, " v"]],
     ) -> dict[str, MappedArray]:
         """`targets` (items, v, 3) of an icosphere's vertices, and which are `valid` (items, v)."""
+        if "images" in self.known:
+            return self.known["images"]
         shape = 1 + len(self.meshes), len(sphere)
 
         def write(folder: Path) -> None:
@@ -109,7 +121,7 @@ class TrainingArrays:
 
     def surfaces(self) -> "MappedSurfaces":
         """Samplers of the surfaces."""
-        ball = icosphere(_SPHERE_LEVEL)
+        ball = sphere_mesh()
         faces = [len(ball.faces), *(entry.faces for entry in self.contents)]
         starts = np.concatenate([[0], np.cumsum(faces)])
 

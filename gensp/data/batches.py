@@ -17,7 +17,7 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from gensp.data.clouds import SurfaceSampler
-from gensp.data.store import MappedArray
+from gensp.data.mapped import MappedArray
 
 BatchT = TypeVar("BatchT", bound="SdfBatch | CorrespondenceBatch")
 Drawn = tuple[str, int]  # a shape and the number of one of its clouds

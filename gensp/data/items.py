@@ -10,6 +10,9 @@ import numpy as np
 from gensp.errors import DamagedFile, MissingStage
 from gensp.files import load_npz, read_json
 from gensp.geometry.mesh import Mesh
+from gensp.geometry.sphere import icosphere
+
+_SPHERE_LEVEL = 5
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,11 @@ def item_mesh(folder: Path | str, item: str) -> Mesh:
     """Mesh of an item: closed, genus 0, centred, area 4π, with its own triangulation."""
     arrays = load_npz(item_path(folder, item))
     return Mesh(arrays["vertices"].astype(np.float64), arrays["faces"].astype(np.int64), item)
+
+
+def sphere_mesh() -> Mesh:
+    """S_0 as triangles, of which surface points are drawn and to which distances are taken."""
+    return icosphere(_SPHERE_LEVEL)
 
 
 class ItemMeshes(Sequence[Mesh]):

@@ -20,17 +20,17 @@ from gensp.data.arrays import Content, TrainingArrays
 from gensp.data.batches import CorrespondenceDataset, EpochDataset, SdfDataset
 from gensp.data.items import ItemMeshes, names_of, training_items
 from gensp.data.loading import epoch_loader
+from gensp.data.mapped import Chosen, Entries, MappedArray
 from gensp.data.modules import places
 from gensp.data.sdf import SdfSampler, keep_samples, sample_path
 from gensp.data.shapes import SPHERE
-from gensp.data.store import Chosen, Entries, MappedArray
 from gensp.errors import GenSPError, MissingData
-from gensp.geometry.common_source import known_mean
+from gensp.geometry.common_source import mean_of_blocks
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import icosphere_of
 from gensp.runs import Run
 
-_AT_ONCE = 2**19  # numbers of a mean that are held in memory
+_AT_ONCE = 2**23  # numbers that a mean reads at once
 
 
 @dataclass(frozen=True)
@@ -109,8 +109,18 @@ class FitModule(LightningDataModule):
         return self.arrays.clouds(self.batching.cloud, self.batching.draws)
 
     def prepare_data(self) -> None:
-        """Write the arrays, on one rank; the others find them."""
+        """Name, check and write the arrays, on one rank."""
         _ = self._loaded
+
+    def setup(self, stage: str) -> None:
+        """Tell the other ranks what the first has found; they open it and check nothing."""
+        if self.trainer is None or self.trainer.world_size == 1:
+            return
+        first = self.trainer.global_rank == 0
+        found = (self.arrays.contents, self.arrays.known) if first else None
+        contents, known = self.trainer.strategy.broadcast(found)
+        if not first:
+            self.arrays = TrainingArrays(self.stores, self.meshes, contents, known)
 
     @cached_property
     def _loaded(self) -> EpochDataset[Any]:
@@ -254,10 +264,10 @@ class CorrespondenceModule(FitModule):
     def mean_target(self, items: Sequence[int]) -> Float[Tensor, "v 3"]:
         """Mean place of the vertices over the items where it is known; elsewhere that on S_0."""
         targets, valid = self.targets.mapped(), self.valid.mapped()
-        step = max(1, _AT_ONCE // max(1, len(items)))
-        parts = [slice(k, k + step) for k in range(0, targets.shape[1], step)]
-        means = [known_mean(targets[items, p], valid[items, p], targets[0, p]) for p in parts]
-        return torch.from_numpy(np.concatenate(means).astype(np.float32))
+        step = max(1, _AT_ONCE // targets[0].size)
+        parts = [items[k : k + step] for k in range(0, len(items), step)]
+        mean = mean_of_blocks(((targets[part], valid[part]) for part in parts), targets[0])
+        return torch.from_numpy(mean.astype(np.float32))
 
     def shared_surface(self, items: Sequence[int]) -> dict[str, Any]:
         """The icosphere on the given items, as the arrays of `models.atlas.Atlas`.

@@ -5,6 +5,8 @@ chain. What the images of a collection have in common does not: registered from 
 shape, they agree better with one another.
 """
 
+from collections.abc import Iterable
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -18,9 +20,22 @@ def known_mean(
     otherwise: Float[np.ndarray, "n 3"],
 ) -> Float[np.ndarray, "n 3"]:
     """Mean of every vertex over the images where it is known, and `otherwise` where in none."""
-    known = valid[..., None]
-    count = known.sum(axis=0)
-    total = np.where(known, images, 0).sum(axis=0)
+    return mean_of_blocks([(images, valid)], otherwise)
+
+
+def mean_of_blocks(
+    blocks: Iterable[tuple[Float[np.ndarray, "k n 3"], Bool[np.ndarray, "k n"]]],
+    otherwise: Float[np.ndarray, "n 3"],
+) -> Float[np.ndarray, "n 3"]:
+    """`known_mean` of the images and their `valid` in blocks, of which one is held at a time.
+
+    Sums over blocks are in double precision, whatever the images are.
+    """
+    total, count = np.zeros(otherwise.shape), np.zeros((len(otherwise), 1), dtype=np.int64)
+    for images, valid in blocks:
+        known = valid[..., None]
+        total += np.where(known, images, 0).sum(axis=0)
+        count += known.sum(axis=0)
     mean: np.ndarray = np.where(count > 0, total / np.maximum(count, 1), otherwise)
     return mean
 

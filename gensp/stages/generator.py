@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from gensp.data.batches import CorrespondenceBatch
-from gensp.data.items import item_mesh
+from gensp.data.items import item_mesh, sphere_mesh
 from gensp.data.shapes import SPHERE
 from gensp.files import load_npz, read_json
 from gensp.geometry.distance import ClosestPointTree
@@ -274,4 +274,4 @@ class Surfaces(dict[str, ClosestPointTree]):
         return tree
 
     def _built(self, id: str) -> ClosestPointTree:
-        return ClosestPointTree(icosphere(5) if id == SPHERE else item_mesh(self.folder, id))
+        return ClosestPointTree(sphere_mesh() if id == SPHERE else item_mesh(self.folder, id))

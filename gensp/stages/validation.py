@@ -132,8 +132,8 @@ class DistanceValidation(Validation):
         sampler = replace(
             data.sampler, near=each, far=each, uniform=each, seed=data.sampler.seed + 1
         )
-        meshes = {mesh.name: mesh for mesh in data.meshes}
-        pools = [sampler(meshes[id], data.bound) for id in ids]
+        # One by one: a training holds no more of its collection than it draws. Item 0 is S_0.
+        pools = [sampler(data.meshes[data.ids.index(id) - 1], data.bound) for id in ids]
         points, distances = ([getattr(p, name) for p in pools] for name in ("points", "distances"))
         return torch.from_numpy(np.stack(points)), torch.from_numpy(np.stack(distances))
 

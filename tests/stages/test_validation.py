@@ -1,6 +1,7 @@
 """What is measured during a training, and that the training does not notice."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -97,6 +98,25 @@ def test_the_training_of_the_field_does_not_notice(tmp_path: Path) -> None:
     seen = trained(implicit_stage(tmp_path), learnt, 2, watch)
     require_equal(blind, seen)
     assert 0 < seen.history[-1]["val/distance"] < 2
+
+
+def test_the_field_is_measured_without_reading_other_shapes(tmp_path: Path) -> None:
+    asked = []
+
+    class Watched(list[Mesh]):
+        def __getitem__(self, place: int) -> Mesh:
+            asked.append(place)
+            return super().__getitem__(place)
+
+        def __iter__(self) -> None:
+            raise AssertionError("all are read")
+
+    watch = DistanceValidation(collection=shapes(tmp_path / "shapes", *3 * ["val"]), points=60)
+    data = sdf_module(tmp_path)
+    _ = data.bound
+    data.meshes = Watched(data.meshes)
+    watch._drawn(SimpleNamespace(datamodule=data), data.ids[2:3])
+    assert asked == [1]
 
 
 def test_training_shapes_stand_in_and_it_is_said(

@@ -1,8 +1,15 @@
 """Arrays on disk: the same batches as from memory, whole or made anew."""
 
 import itertools
+import os
+import pickle
+import shutil
+import socket
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,8 +19,8 @@ from gensp.compute import Workers
 from gensp.data.batches import CorrespondenceDataset, EpochDataset, SdfDataset
 from gensp.data.clouds import SurfaceSampler, point_clouds, sphere_cloud
 from gensp.data.loading import epoch_loader
+from gensp.data.mapped import MappedArray, stored, write_rows
 from gensp.data.sdf import SdfSampler
-from gensp.data.store import MappedArray, stored, write_rows
 from gensp.data.training import Batching, CorrespondenceModule, SdfModule
 from gensp.errors import DamagedFile, OutputError
 from gensp.geometry.mesh import Mesh, normalize
@@ -86,15 +93,66 @@ def test_streamed_correspondences_are_those_held_in_memory(meshes: list[Mesh]) -
     require_same_batches(data.dataset(), held)
 
 
-def test_the_mean_target_does_not_depend_on_its_parts(
+def test_the_mean_target_depends_on_its_parts_by_rounding_alone(
     meshes: list[Mesh], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     targets = np.stack([mesh.vertices for mesh in meshes])
-    valid = np.ones(targets.shape[:2], dtype=bool)
+    valid = np.random.default_rng(0).random(targets.shape[:2]) < 0.8
     data = CorrespondenceModule(meshes, targets, valid, batching=BATCHING)
-    whole = data.mean_target([1, 2, 4])
-    monkeypatch.setattr("gensp.data.training._AT_ONCE", 50)
-    assert torch.equal(data.mean_target([1, 2, 4]), whole)
+    items = [1, 2, 4, 5]
+    whole = data.mean_target(items)
+    known, places = data.valid[items].numpy()[..., None], data.targets[items].numpy()
+    mean = np.where(known, places, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    expected = np.where(known.any(axis=0), mean, data.targets[0].numpy()).astype(np.float32)
+    assert np.array_equal(whole, expected)
+    monkeypatch.setattr("gensp.data.training._AT_ONCE", 50)  # a row at a time
+    torch.testing.assert_close(data.mean_target(items), whole, rtol=1e-6, atol=1e-7)
+
+
+class Rank:
+    """What a data module asks of the trainer of one of two ranks."""
+
+    world_size, num_devices, accumulate_grad_batches = 2, 1, 1
+
+    def __init__(self, rank: int, wire: list[bytes]) -> None:
+        self.global_rank, self.wire, self.strategy = rank, wire, self
+
+    def broadcast(self, value: Any) -> Any:
+        if self.global_rank == 0:
+            self.wire.append(pickle.dumps(value))
+        return pickle.loads(self.wire[0])
+
+
+@pytest.mark.parametrize("kind", ["samples", "correspondences"])
+def test_only_the_first_rank_names_and_checks(
+    meshes: list[Mesh], tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def made(rank: int) -> SdfModule | CorrespondenceModule:
+        targets = np.stack([mesh.vertices for mesh in meshes])
+        valid = np.ones(targets.shape[:2], dtype=bool)
+        if kind == "samples":
+            one = Workers(jobs=1)
+            data = SdfModule(
+                meshes, batching=BATCHING, sampler=SAMPLER, cache=tmp_path, workers=one
+            )
+        else:
+            data = CorrespondenceModule(meshes, targets, valid, batching=BATCHING, store=tmp_path)
+        data.trainer = Rank(rank, wire)
+        return data
+
+    def refused(*_: object) -> None:
+        raise AssertionError("the second rank checks")
+
+    wire: list[bytes] = []
+    first, second = made(0), made(1)
+    first.prepare_data()
+    first.setup("fit")
+    monkeypatch.setattr("gensp.data.arrays.stored", refused)
+    monkeypatch.setattr("gensp.data.arrays.content_hash", refused)
+    second.setup("fit")
+    require_same_batches(second.dataset(), first.dataset())
+    if kind == "samples":
+        assert second.bound == first.bound
 
 
 def test_an_array_gives_what_numpy_gives(tmp_path: Path) -> None:
@@ -132,7 +190,7 @@ def test_a_store_is_written_once(
     assert [path.name for path in tmp_path.iterdir()] == ["k"]
 
 
-@pytest.mark.parametrize("damage", ["truncate", "change", "remove", "manifest"])
+@pytest.mark.parametrize("damage", ["truncate", "change", "remove", "manifest", "unlisted"])
 def test_a_damaged_store_is_made_anew_with_a_warning(
     tmp_path: Path, write: Callable[[Path], None], damage: str
 ) -> None:
@@ -147,10 +205,53 @@ def test_a_damaged_store_is_made_anew_with_a_warning(
     elif damage == "remove":
         path.unlink()
     else:
-        (tmp_path / "k" / "manifest.json").write_text("[]")
+        listed = "[]" if damage == "manifest" else "{}"
+        (tmp_path / "k" / "manifest.json").write_text(listed)
     with pytest.warns(UserWarning, match=r"k: damaged; it is made anew"):
         found = stored(tmp_path, "k", write)
     np.testing.assert_array_equal(found["a"][:], np.arange(1000.0))
+
+
+def test_a_damaged_store_that_cannot_be_removed_is_not_used(
+    tmp_path: Path, write: Callable[[Path], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stored(tmp_path, "k", write)
+    (tmp_path / "k" / "a.npy").unlink()
+    monkeypatch.setattr(shutil, "rmtree", lambda *_, **__: None)
+    with pytest.warns(UserWarning), pytest.raises(OutputError, match=r"k: is damaged and cannot"):
+        stored(tmp_path, "k", write)
+
+
+def test_what_a_killed_writer_left_is_removed(
+    tmp_path: Path, write: Callable[[Path], None]
+) -> None:
+    endless = (
+        "import sys, time; from pathlib import Path; from gensp.data.mapped import stored;"
+        "stored(Path(sys.argv[1]), 'j', lambda folder: (print(flush=True), time.sleep(600)))"
+    )
+    command = [sys.executable, "-c", endless, str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as writer:
+        assert writer.stdout is not None
+        writer.stdout.readline()
+        stored(tmp_path, "k", write)
+        left = [path.name for path in tmp_path.iterdir() if path.name.startswith(".")]
+        assert len(left) == 1  # it lives
+        writer.kill()
+    stored(tmp_path, "k", write)
+    assert [path.name for path in tmp_path.iterdir()] == ["k"]
+
+
+def test_of_other_machines_only_what_is_old_is_removed(
+    tmp_path: Path, write: Callable[[Path], None]
+) -> None:
+    old, new = (tmp_path / f".k-elsewhere-{number}-abc" for number in (1, 2))
+    mine = tmp_path / f".k-{socket.gethostname()}-{os.getpid()}-abc"
+    for folder in (old, new, mine):
+        folder.mkdir()
+    for folder in (old, mine):
+        os.utime(folder, (0, 0))
+    stored(tmp_path, "k", write)
+    assert {path.name for path in tmp_path.iterdir()} == {"k", new.name, mine.name}
 
 
 def test_a_writer_that_fails_leaves_nothing(tmp_path: Path) -> None:

@@ -5,8 +5,11 @@ the collection.
 """
 
 import os
+import re
 import shutil
+import socket
 import tempfile
+import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -20,10 +23,12 @@ from torch import Tensor
 
 from gensp.checksums import MANIFEST, listing, require_intact
 from gensp.errors import DamagedFile, OutputError
-from gensp.files import load_npz, read_json, write_json
+from gensp.files import load_npz, permitted, read_json, unwritable, write_json
 
 # Writes the arrays of a store into a folder, see `write_rows`.
 Writer = Callable[[Path], None]
+
+_WEEK = 7 * 24 * 3600  # seconds; no writer leaves its folder untouched for so long
 
 
 class MappedArray:
@@ -81,12 +86,13 @@ def stored(folder: Path, key: str, write: Writer) -> dict[str, MappedArray]:
     Raises
     ------
     OutputError
-        The disk is full or read-only, or the folder may not be written.
+        The disk is full or read-only, the folder may not be written, or a damaged one not removed.
     """
     place = folder / key
+    _sweep(folder)
     if place.exists() and not _whole(place):
         warnings.warn(f"{place}: damaged; it is made anew", stacklevel=2)
-        shutil.rmtree(place, ignore_errors=True)
+        _remove(place)
     if not place.exists():
         with _atomic_folder(place) as made:
             write(made)
@@ -95,10 +101,51 @@ def stored(folder: Path, key: str, write: Writer) -> dict[str, MappedArray]:
 
 
 def _whole(place: Path) -> bool:
+    """Whether the manifest lists every array, and each is as it was written."""
     try:
-        require_intact(place, read_json(place / MANIFEST), "data")
+        files = read_json(place / MANIFEST)
+        require_intact(place, files, "data")
+        return {path.name for path in place.glob("*.npy")} <= files.keys()
     except (OSError, TypeError, AttributeError, KeyError, DamagedFile):
         return False
+
+
+def _remove(place: Path) -> None:
+    shutil.rmtree(place, ignore_errors=True)
+    # Another run may have made it anew meanwhile.
+    if place.exists() and not _whole(place):
+        raise OutputError(
+            f"{place}: is damaged and cannot be removed; permission to remove it is required; "
+            "remove it by hand, or name another folder with paths.cache=FOLDER"
+        )
+
+
+def _sweep(folder: Path) -> None:
+    """Remove the folders of writers that were killed."""
+    for left in folder.glob(".*-*"):
+        if _abandoned(left):
+            shutil.rmtree(left, ignore_errors=True)
+
+
+def _abandoned(left: Path) -> bool:
+    """Whether the process that its name tells is gone; of another machine's, age must tell."""
+    writer = re.fullmatch(r"\.[^-]+-(?P<host>.+)-(?P<process>\d+)-\w+", left.name)
+    if writer and writer["host"] == socket.gethostname():
+        return not _runs(int(writer["process"]))
+    try:
+        changed = max(path.stat().st_mtime for path in (left, *left.iterdir()))
+    except OSError:  # it is being renamed or removed
+        return False
+    return time.time() - changed > _WEEK
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # somebody else's
+        return True
     return True
 
 
@@ -108,33 +155,25 @@ def _atomic_folder(place: Path) -> Iterator[Path]:
     made: Path | None = None
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
-        made = Path(tempfile.mkdtemp(prefix=f".{place.name}-", dir=place.parent))
+        writer = f".{place.name}-{socket.gethostname()}-{os.getpid()}-"
+        made = Path(tempfile.mkdtemp(prefix=writer, dir=place.parent))
         yield made
         _settle(made, place)
     except OSError as error:
-        raise OutputError(
-            f"{place}: cannot be written ({error.strerror or error}); free space or permission "
-            "is required; name another folder with paths.cache=FOLDER"
-        ) from error
+        raise unwritable(place, error, "paths.cache") from error
     finally:
         if made is not None:
             shutil.rmtree(made, ignore_errors=True)
 
 
 def _settle(made: Path, place: Path) -> None:
-    made.chmod(0o777 & ~_umask())
+    made.chmod(permitted(0o777))
     try:
         os.rename(made, place)
     except OSError:
         # Another run was faster; what it wrote under the same key is the same.
         if not place.is_dir():
             raise
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def write_rows(
