@@ -104,7 +104,7 @@ def settings_of(cfg: DictConfig, inputs: Mapping[str, Run]) -> dict[str, Any]:
     OmegaConf.set_struct(bare, False)
     bare.paths = {key: f"<{key}>" for key in cfg.paths}
     bare.workers = None
-    trainer = OmegaConf.to_container(bare.trainer, resolve=True)
+    trainer: Any = OmegaConf.to_container(bare.trainer, resolve=True)
     data = _without_workers(OmegaConf.to_container(bare.data, resolve=True))
     _one_batch(data, trainer)
     science = {key: trainer.get(key) for key in _TRAINER_SCIENCE}

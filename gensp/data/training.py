@@ -117,7 +117,7 @@ class FitModule(LightningDataModule):
         if self.trainer is None or self.trainer.world_size == 1:
             return
         first = self.trainer.global_rank == 0
-        found = (self.arrays.contents, self.arrays.known) if first else None
+        found: Any = (self.arrays.contents, self.arrays.known) if first else None
         contents, known = self.trainer.strategy.broadcast(found)
         if not first:
             self.arrays = TrainingArrays(self.stores, self.meshes, contents, known)

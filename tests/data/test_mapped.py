@@ -131,10 +131,8 @@ def test_only_the_first_rank_names_and_checks(
         targets = np.stack([mesh.vertices for mesh in meshes])
         valid = np.ones(targets.shape[:2], dtype=bool)
         if kind == "samples":
-            one = Workers(jobs=1)
-            data = SdfModule(
-                meshes, batching=BATCHING, sampler=SAMPLER, cache=tmp_path, workers=one
-            )
+            shared = {"cache": tmp_path, "workers": Workers(jobs=1)}
+            data = SdfModule(meshes, batching=BATCHING, sampler=SAMPLER, **shared)
         else:
             data = CorrespondenceModule(meshes, targets, valid, batching=BATCHING, store=tmp_path)
         data.trainer = Rank(rank, wire)
@@ -218,7 +216,8 @@ def test_a_damaged_store_that_cannot_be_removed_is_not_used(
     stored(tmp_path, "k", write)
     (tmp_path / "k" / "a.npy").unlink()
     monkeypatch.setattr(shutil, "rmtree", lambda *_, **__: None)
-    with pytest.warns(UserWarning), pytest.raises(OutputError, match=r"k: is damaged and cannot"):
+    cannot = pytest.raises(OutputError, match=r"k: is damaged and cannot be removed")
+    with pytest.warns(UserWarning, match="damaged"), cannot:
         stored(tmp_path, "k", write)
 
 

@@ -1,0 +1,138 @@
+"""How far bf16-mixed and compile=true move the gradient of every loss, on small random networks.
+
+OMP_NUM_THREADS=1 python benchmarks/precision.py      # minutes, nearly all of the C++ compiler
+
+Printed is ‖g − g₀‖ / ‖g₀‖ of all weights' gradients g, where g₀ is that in single precision,
+uncompiled. bf16-mixed covers the whole loss, Eqs. 5 and 12 too, which trainings keep out of it.
+Losses of derivatives are not compiled: PyTorch refuses them (`tests/stages/test_speed.py`).
+"""
+
+import sys
+import time
+from collections.abc import Callable
+
+import torch
+from rich.console import Console
+from torch import Tensor, nn
+
+from gensp.geometry.reduced import deformation_cover
+from gensp.geometry.sphere import icosphere
+from gensp.losses import (
+    correspondence_loss,
+    generator_deformation,
+    implicit_deformation,
+    sdf_loss,
+)
+from gensp.models import (
+    AnchoredGenerator,
+    FlowGenerator,
+    ImplicitField,
+    PointNet2Encoder,
+    jacobian,
+)
+from gensp.stages.speed import compiled_call
+
+LATENT, SHAPES, POINTS = 8, 4, 256
+SMALL = {"width": 48, "depth": 3}
+BALL = torch.tensor(icosphere(2).vertices, dtype=torch.float32)
+Call = Callable[..., Tensor]
+# A loss of networks, these networks, and which of them are compiled.
+Case = tuple[Callable[..., Tensor], list[nn.Module], list[bool]]
+
+
+def field_case() -> Case:
+    """Eq. 3 of the field at given codes."""
+    z, x = torch.randn(SHAPES, LATENT), torch.randn(SHAPES, POINTS, 3)
+    distance = x.norm(dim=2) - 0.8
+    return lambda f: sdf_loss(f(z, x), distance), [field()], [True]
+
+
+def encoded_case(compiled: list[bool]) -> Case:
+    """Eq. 3 of the field at the encoder's codes of random clouds."""
+    clouds, x = torch.randn(SHAPES, 128, 3), torch.randn(SHAPES, POINTS, 3)
+    distance = x.norm(dim=2) - 0.8
+    encoder = PointNet2Encoder(LATENT, width=8, groups=((32, 8), (8, 4)))
+    grouping = encoder.group(clouds)
+    return (
+        lambda f, e: sdf_loss(f(e(clouds, grouping), x), distance),
+        [field(), encoder],
+        compiled,
+    )
+
+
+def blend_case() -> Case:
+    """Eq. 10 of the blend generator."""
+    z, p = torch.randn(SHAPES, LATENT), BALL.expand(SHAPES, -1, -1)
+    targets, valid = p + 0.3 * torch.randn(p.shape), torch.ones(p.shape[:2], dtype=torch.bool)
+    generator = AnchoredGenerator(LATENT, form="blend", rank=4, inject=(), **SMALL)
+    return lambda g: correspondence_loss(g(z, p), targets, valid), [generator], [True]
+
+
+def level_set_case() -> Case:
+    """Eq. 5 on the unit sphere."""
+    cover, directions = deformation_cover(BALL, 15), torch.eye(LATENT)[:2]
+
+    def loss(f: Call) -> Tensor:
+        def rowwise(x: Tensor, z: Tensor) -> Tensor:
+            return f(z, x[:, None]).squeeze(1)
+
+        return implicit_deformation(rowwise, torch.zeros(LATENT), BALL, cover, directions, 0.1)
+
+    return loss, [field()], [False]
+
+
+def flow_case() -> Case:
+    """Eq. 12 of the flow generator."""
+    z, p = torch.randn(SHAPES, LATENT), BALL[:64].expand(SHAPES, -1, -1)
+    generator = FlowGenerator(LATENT, rank=4, steps=2, inject=(), **SMALL)
+    return lambda g: generator_deformation(jacobian(g, z, p), 0.01), [generator], [False]
+
+
+def field() -> ImplicitField:
+    """A small one."""
+    return ImplicitField(LATENT, inject=(2,), **SMALL)
+
+
+CASES: dict[str, Callable[[], Case]] = {
+    "Eq. 3, field": field_case,
+    "Eq. 3, field and encoder, field compiled": lambda: encoded_case([True, False]),
+    "Eq. 3, field and encoder, both compiled": lambda: encoded_case([True, True]),
+    "Eq. 10, blend generator": blend_case,
+    "Eq. 5, field": level_set_case,
+    "Eq. 12, flow generator": flow_case,
+}
+
+
+def gradient(case: Case, *, mixed: bool = False, compiled: bool = False) -> Tensor:
+    """That of all weights, one after another."""
+    loss, networks, which = case
+    calls = [
+        compiled_call(network) if compiled and chosen else network
+        for network, chosen in zip(networks, which, strict=True)
+    ]
+    weights = [weight for network in networks for weight in network.parameters()]
+    with torch.autocast("cpu", torch.bfloat16, enabled=mixed):
+        value = loss(*calls)
+    found = torch.autograd.grad(value.float(), weights, allow_unused=True)
+    return torch.cat([part.flatten() for part in found if part is not None])
+
+
+def main() -> None:
+    """Print a Markdown table."""
+    console = Console(file=sys.stdout, soft_wrap=True, highlight=False)
+    console.print("| loss | bf16-mixed | compile=true | compiling (s) |\n|---|---|---|---|")
+    for name, make in CASES.items():
+        torch.manual_seed(0)
+        case = make()
+        plain = gradient(case)
+        mixed = (gradient(case, mixed=True) - plain).norm() / plain.norm()
+        cells = [f"{mixed:.1%}", "", ""]
+        if any(case[2]):
+            began = time.perf_counter()
+            moved = (gradient(case, compiled=True) - plain).norm() / plain.norm()
+            cells[1:] = [f"{moved:.0e}", f"{time.perf_counter() - began:.0f}"]
+        console.print(f"| {' | '.join([name, *cells])} |", markup=False)
+
+
+if __name__ == "__main__":
+    main()
