@@ -107,16 +107,15 @@ def settings_of(cfg: DictConfig, inputs: Mapping[str, Run]) -> dict[str, Any]:
     trainer: Any = OmegaConf.to_container(bare.trainer, resolve=True)
     data = _without_workers(OmegaConf.to_container(bare.data, resolve=True))
     _one_batch(data, trainer)
-    science = {key: trainer.get(key) for key in _TRAINER_SCIENCE}
     # Left out while it is off, as in runs that were made before it was a setting.
-    if cfg.compile and cfg.stage.verb == "fit":
-        science["compile"] = True
+    compiled = {"compile": True} if cfg.compile and cfg.stage.verb == "fit" else {}
     # Only stages whose work names the collection read its files; the others see it by `inputs`.
     reads = "collection" in (cfg.data.get("task") or {})
     return {
         "stage": OmegaConf.to_container(bare.stage, resolve=True),
         "data": data,
-        "trainer": science,
+        "trainer": {key: trainer.get(key) for key in _TRAINER_SCIENCE},
+        **compiled,
         "seed": cfg.seed,
         "shapes": made(cfg.shapes).fingerprint if reads else None,
         "inputs": {name: found.outputs for name, found in inputs.items()},

@@ -18,6 +18,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from gensp.configuration import settings_of
 from gensp.geometry.guided_registration import PATIENT
+from gensp.runs import differences
 
 CONF = ROOT / "conf"
 
@@ -217,8 +218,10 @@ def test_accumulated_batches_are_the_settings_of_one() -> None:
 
 def test_compilation_is_a_setting_of_trainings_where_it_is_on() -> None:
     plain = settings_of(composed("stage=implicit"), {})
-    assert "compile" not in plain["trainer"]
-    assert settings_of(composed("stage=implicit", "compile=true"), {}) != plain
+    assert "compile" not in plain
+    compiled = settings_of(composed("stage=implicit", "compile=true"), {})
+    assert compiled == plain | {"compile": True}
+    assert differences(plain, compiled) == ["compile: nothing → True"]
     items = settings_of(composed("stage=parameterize"), {})
     assert settings_of(composed("stage=parameterize", "compile=true"), {}) == items
 

@@ -130,7 +130,8 @@ def _sweep(folder: Path) -> None:
 def _abandoned(left: Path) -> bool:
     """Whether the process that its name tells is gone; of another machine's, age must tell."""
     writer = re.fullmatch(r"\.[^-]+-(?P<host>.+)-(?P<process>\d+)-\w+", left.name)
-    if writer and writer["host"] == socket.gethostname():
+    # Elsewhere than on POSIX, signal 0 would not merely ask.
+    if os.name == "posix" and writer and writer["host"] == socket.gethostname():
         return not _runs(int(writer["process"]))
     try:
         changed = max(path.stat().st_mtime for path in (left, *left.iterdir()))

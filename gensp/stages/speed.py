@@ -2,7 +2,7 @@
 
 Eqs. 5 and 12 are losses of derivatives, so their gradients are second derivatives. Whatever the
 words say, they are computed in single precision, as their linear solve needs, and uncompiled, for
-compiled functions have no second derivative. The encoder is not compiled: its maxima would fall
+compiled functions have no second derivative. The encoder is not compiled: its maxima may fall
 elsewhere.
 """
 
