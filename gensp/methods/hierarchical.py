@@ -53,6 +53,19 @@ class NewtonPolish:
 
 
 @dataclass(frozen=True)
+class BySize:
+    """One polish for maps of few vertices, another from `size` vertices on."""
+
+    few: Newton
+    many: Newton
+    size: int = 10_000
+
+    def __call__(self, mesh: Mesh, start: Float[np.ndarray, "n 3"]) -> Refined:
+        """The refined map of a mesh."""
+        return (self.few if len(mesh.vertices) < self.size else self.many)(mesh, start)
+
+
+@dataclass(frozen=True)
 class SmatPolish:
     """Projected Newton on the energy of Schmidt et al. 2023.
 
@@ -137,19 +150,23 @@ class Hierarchical:
 def dirichlet(
     *, energy: str = "sigma", floor: float = 3.0, tolerance: float = 3e-4
 ) -> Hierarchical:
-    """Ours: the symmetric Dirichlet energy while the map grows, Newton on what is reported.
+    """Ours: the symmetric Dirichlet energy while the map grows, then one that is what is reported.
 
-    Newton on the growing map has the last energy already, so that few steps are left at the end.
+    Of large meshes Newton on the growing map has the last energy already, so that few steps are
+    left at the end. While a map has few vertices this energy would let limbs settle worse.
 
     Parameters
     ----------
     energy, floor, tolerance
-        Of Newton; the tolerance is that of the last iteration.
+        Of the last Newton iteration. `energy="dirichlet"` ends where it began.
     """
     return Hierarchical(
         name="dirichlet",
         schedule=Schedule(energy="dirichlet", floor=1.0),
-        coarse=NewtonPolish(energy=energy, floor=floor, max_iterations=30, tolerance=1e-3),
+        coarse=BySize(
+            few=NewtonPolish(energy="dirichlet", max_iterations=30, tolerance=1e-3),
+            many=NewtonPolish(energy=energy, floor=floor, max_iterations=30, tolerance=1e-3),
+        ),
         fine=NewtonPolish(energy=energy, floor=floor, tolerance=tolerance),
     )
 
