@@ -13,7 +13,7 @@ import pytest
 from commands import smoke_words, train
 from compare import different
 
-from gensp.arrays import SlurmWorkers
+from gensp.job_arrays import SlurmWorkers
 from gensp.clusters import DaskWorkers, RayWorkers, needed
 from gensp.compute import Row, Workers, run_items, stored_rows
 from gensp.errors import BadMesh, GenSPError, MissingData

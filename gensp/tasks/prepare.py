@@ -1,6 +1,7 @@
 """Preparing one mesh of a raw collection: check, mend, carry its ground truth, write."""
 
 import json
+import os
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -87,7 +88,10 @@ class Prepare:
         try:
             mesh = self.collection.mesh(id)
         except BadMesh as error:
-            return Bundle({"id": id, "verdict": DROPPED, "reason": " ".join(str(error).split())})
+            # The file alone: where it was is no property of the collection that is written.
+            place = f"{self.collection.shape(id).path.parent}{os.sep}"
+            reason = " ".join(str(error).replace(place, "").split())
+            return Bundle({"id": id, "verdict": DROPPED, "reason": reason})
         # Seeded by the name, so that a mesh does not depend on the rest of the collection.
         generator = np.random.default_rng(int(content_hash(id, self.seed), 16))
         found = self.preparation(mesh, generator)
