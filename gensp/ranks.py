@@ -76,7 +76,8 @@ def _processes(trainer: Mapping[str, Any]) -> int | None:
         devices = [word for word in devices.split(",") if word.strip()]
     if isinstance(devices, Sequence) and not isinstance(devices, str):
         return len(devices) * nodes
-    return None if str(devices) in ("auto", "-1") else int(devices) * nodes
+    # Also where it is none of Lightning's words: that is told by Lightning.
+    return int(devices) * nodes if str(devices).isdigit() else None
 
 
 def _world(outside: str | None, *, several: bool) -> int:
@@ -105,6 +106,6 @@ def _require_agreement(trainer: Mapping[str, Any], world: int) -> None:
         return
     raise Unsupported(
         f"ranks: {world} processes were started together, and {found} was found; their numbers "
-        "must agree, or each would do the same work in one folder; add trainer=ddp (torchrun) or "
-        "trainer=slurm (srun), or start one process"
+        "must agree, or each would do the same work in one folder; start one process, or as many "
+        f"as the trainer has with: {_TORCHRUN} trainer=ddp; on SLURM with: {_SLURM}"
     )
