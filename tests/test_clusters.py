@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import distributed
 import pytest
+import submitit
 from commands import ROOT, run_here, smoke_words, train
 from compare import different
 from trying import Trying
@@ -63,8 +64,10 @@ def test_every_item_has_its_row_whoever_dies(workers: Workers, tmp_path: Path) -
 
 @pytest.mark.parametrize("workers", ["slurm"], indirect=True)
 def test_an_item_that_kills_the_task_of_an_array_is_given_up(
-    workers: Workers, tmp_path: Path
+    workers: Workers, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # submitit waits so long for the result of a dead task.
+    monkeypatch.setattr(submitit.Job, "_results_timeout_s", 1)
     task = Trying(tmp_path, once=("a",), always=("c/d",), whom=os.getppid)
     with pytest.warns(UserWarning, match="a worker died"):
         rows = list(run_items(task, ITEMS, tmp_path / "run", workers))
