@@ -1,7 +1,6 @@
 """Preparing one mesh of a raw collection: check, mend, carry its ground truth, write."""
 
 import json
-import os
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -89,8 +88,10 @@ class Prepare:
             mesh = self.collection.mesh(id)
         except BadMesh as error:
             # The file alone: where it was is no property of the collection that is written.
-            place = f"{self.collection.shape(id).path.parent}{os.sep}"
-            reason = " ".join(str(error).replace(place, "").split())
+            reason = " ".join(str(error).split())
+            file = Path(reason.split(": ")[0])
+            if file.is_absolute():
+                reason = reason.removeprefix(f"{file.parent}/")
             return Bundle({"id": id, "verdict": DROPPED, "reason": reason})
         # Seeded by the name, so that a mesh does not depend on the rest of the collection.
         generator = np.random.default_rng(int(content_hash(id, self.seed), 16))
