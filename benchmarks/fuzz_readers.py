@@ -226,7 +226,13 @@ def _config_files(folder: Path) -> list[Path]:
             "object": {"level": 5, "fit": {"_target_": target, "level": 4}},
         },
         "fit": {"own": 0.5},
-        "refine": {"object": {"pull": 7.0, "floor": 0.3}},
+        "refine": {
+            "object": {
+                "_target_": "gensp.methods.refinement.CertifiedRefinement",
+                "pull": 7.0,
+                "energy": "sigma",
+            }
+        },
         "data": {"root": None, "seeds": [0, 1], "made": "2026-01-01"},
     }
     write_text(folder / "config.yaml", yaml.safe_dump(config))

@@ -133,16 +133,17 @@ def test_certified_agrees_with_newton_where_both_start_alike(legged, mapped):
     np.testing.assert_allclose(both[0].sphere, both[1].sphere, atol=1e-12)
 
 
-def test_limbs_are_held_as_firmly_as_the_body(legged, mapped, rng):
+def test_limbs_are_held_as_firmly_as_the_body(legged, mapped):
     """A pull that grows with the shrinking leaves limbs less far away on the surface."""
     shape = normalize(legged)
     target = unit(mapped.sphere + 0.1 * np.sin(3 * mapped.sphere[:, [1, 2, 0]]))
     shrunk = shrinking(mapped.sphere, shape)
     limbs = shrunk > np.quantile(shrunk, 0.9)
 
-    def away(trust):
-        found = CertifiedRefinement(pull=10.0)(legged, target, target, trust)
+    alike = {"energy": "sigma", "floor": 1.0, "tolerance": 3e-4, "pull": 10.0, "crowding": 0.0}
+
+    def away(refinement):
+        found = refinement(**alike)(legged, target, target)
         return np.linalg.norm(found.sphere - target, axis=1)[limbs].mean()
 
-    everywhere_alike = np.minimum(1 / np.sqrt(shrinking(target, shape)), 1)
-    assert away(np.ones(len(target))) < away(everywhere_alike)
+    assert away(CertifiedRefinement) < 0.97 * away(NewtonRefinement)

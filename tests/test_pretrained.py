@@ -56,7 +56,13 @@ def test_shipping_copies_the_model_and_how_it_is_used(
             "object": {"level": 5, "fit": {"_target_": target, "level": 4}},
         },
         "fit": {"own": 0.5},
-        "refine": {"object": {"pull": 7.0, "floor": 0.3}},
+        "refine": {
+            "object": {
+                "_target_": "gensp.methods.refinement.CertifiedRefinement",
+                "pull": 7.0,
+                "energy": "sigma",
+            }
+        },
     }
     write_text(maps / "config.yaml", json.dumps(config))
     write_text(maps / "manifest.json", "{}")
@@ -67,7 +73,7 @@ def test_shipping_copies_the_model_and_how_it_is_used(
     assert entry["sha256"] == known.sha256 == digest(tmp_path / "copy.pt")
     assert entry["method"] == {"level": 5, "own": 0.5}
     assert entry["fit"] == {"kind": "register", "level": 4}
-    assert entry["refine"] == {"pull": 7.0, "floor": 0.3}
+    assert entry["refine"] == {"pull": 7.0, "energy": "sigma"}
 
 
 def test_a_folder_that_is_no_parameterization_is_refused(tmp_path) -> None:

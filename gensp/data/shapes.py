@@ -219,8 +219,7 @@ class ShapeCollection:
         """Keypoint records, but for the models that misaligned.csv lists."""
         if self._keypoint_file is None:
             return {}
-        listed = self._misaligned
-        wrong = {row["id"] for row in read_rows(listed) if "id" in row} if listed else set()
+        wrong = _listed(self._misaligned) if self._misaligned else set()
         records = load_keypoint_records(self._keypoint_file)
         return {id: record for id, record in records.items() if id not in wrong}
 
@@ -254,3 +253,11 @@ def _require_names(shapes: Sequence[Shape]) -> None:
 def _digest(path: Path | None) -> str:
     found = path is not None and path.is_file()
     return hashlib.sha256(path.read_bytes()).hexdigest() if path and found else ""
+
+
+def _listed(path: Path) -> set[str]:
+    """The ids of a table."""
+    rows = read_rows(path)
+    if rows and "id" not in rows[0]:
+        raise MissingData(f"{path}: has the columns {', '.join(rows[0])}; a column id is required")
+    return {row["id"] for row in rows}

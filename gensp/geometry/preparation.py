@@ -49,7 +49,7 @@ class Prepared:
     hausdorff: float | None = None
     reason: str = ""
     remedy: str = ""
-    self_intersecting: int = 0
+    self_intersecting: int | None = 0
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,8 @@ class Preparation:
 
     def __call__(self, mesh: Mesh, generator: np.random.Generator) -> Prepared:
         """Prepare one mesh; the generator draws its triangles under `remesh`."""
-        crossing = int(self_intersecting_faces(mesh).sum())
+        few = len(mesh.faces) <= self.max_faces  # more may take more memory than there is
+        crossing = int(self_intersecting_faces(mesh).sum()) if few else None
         return replace(self._prepared(mesh, generator), self_intersecting=crossing)
 
     def _prepared(self, mesh: Mesh, generator: np.random.Generator) -> Prepared:

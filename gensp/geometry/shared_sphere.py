@@ -72,8 +72,8 @@ def place_for_all(
     faces: Int[np.ndarray, "m 3"],
     start: Float[np.ndarray, "n 3"],
     *,
-    energy: str = "sigma",
-    floor: float = 1.0,
+    energy: str,
+    floor: float,
     max_iterations: int = 100,
     tolerance: float = 1e-4,
 ) -> Refined:
@@ -86,7 +86,7 @@ def place_for_all(
     start
         Unit positions without bad faces.
     energy, floor
-        Of `MetricEnergy`; by default what is reported of the maps.
+        Of `MetricEnergy`.
 
     Raises
     ------

@@ -137,17 +137,19 @@ class Hierarchical:
 def dirichlet(
     *, energy: str = "sigma", floor: float = 3.0, tolerance: float = 3e-4
 ) -> Hierarchical:
-    """Ours: the symmetric Dirichlet energy while the map grows, then one that is what is reported.
+    """Ours: the symmetric Dirichlet energy while the map grows, Newton on what is reported.
+
+    Newton on the growing map has the last energy already, so that few steps are left at the end.
 
     Parameters
     ----------
     energy, floor, tolerance
-        Of the last Newton iteration. `energy="dirichlet"` ends where it began.
+        Of Newton; the tolerance is that of the last iteration.
     """
     return Hierarchical(
         name="dirichlet",
         schedule=Schedule(energy="dirichlet", floor=1.0),
-        coarse=NewtonPolish(energy="dirichlet", max_iterations=30, tolerance=1e-3),
+        coarse=NewtonPolish(energy=energy, floor=floor, max_iterations=30, tolerance=1e-3),
         fine=NewtonPolish(energy=energy, floor=floor, tolerance=tolerance),
     )
 

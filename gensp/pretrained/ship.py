@@ -8,12 +8,15 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from gensp.compiled.energies import ENERGIES
 from gensp.errors import DamagedFile, GenSPError, MissingStage, Unsupported
 from gensp.files import atomic_path, read_json, read_yaml, write_json
+from gensp.methods.refinement import CertifiedRefinement
 from gensp.models import load_model
 from gensp.pretrained import FITS, FOLDER, LARGEST, TABLE, Shipped, digest
 
 _KINDS = {f"{cls.__module__}.{cls.__name__}": kind for kind, cls in FITS.items()}
+_CERTIFIED = f"{CertifiedRefinement.__module__}.{CertifiedRefinement.__name__}"
 _REFINE = ("pull", "energy", "floor", "max_iterations", "tolerance", "crowding")
 
 
@@ -47,14 +50,19 @@ def _entry(maps: Path, config: Any) -> dict[str, Any]:
         raise Unsupported(f"{maps}: method=gensp is required; found {config['method']['name']}")
     fit = dict(config["method"]["object"]["fit"])
     refine = dict(config["refine"]["object"])
+    if refine["_target_"] != _CERTIFIED:
+        raise Unsupported(f"{maps}: refine=certify is required, which models of the package use")
     entry = {
         "method": {"level": config["method"]["object"]["level"], "own": config["fit"]["own"]},
         "fit": {"kind": _KINDS[fit.pop("_target_")], **fit},
         "refine": {key: refine[key] for key in _REFINE if key in refine},
     }
-    for key, value in {**entry["method"], **entry["refine"]}.items():
+    numbers = {**entry["method"], **entry["refine"], "energy": 0}
+    for key, value in numbers.items():
         if not isinstance(value, int | float):
             raise TypeError(f"{key} is {value!r}, no number")
+    if entry["refine"].get("energy", "sigma") not in ENERGIES:
+        raise ValueError(f"there is no energy {entry['refine']['energy']!r}")
     # Whatever a fit or a refinement does not take is told here, not when the model is loaded.
     Shipped(name="", sha256="", novel=0.0, **entry).settings()
     return entry
@@ -75,11 +83,12 @@ def ship(name: str, maps: Path, model: Path, novel: float) -> Path:
         raise Unsupported(
             f"{model}: has {size:,} bytes; at most {LARGEST:,} are required; keep fewer shapes"
         )
+    use = entry_of(maps)
     target = FOLDER / f"{name}.pt"
     with atomic_path(target) as temporary:
         temporary.write_bytes(model.read_bytes())
     table = read_json(TABLE) if TABLE.is_file() else {}
-    entry = {"sha256": digest(target), **entry_of(maps), "novel": novel}
+    entry = {"sha256": digest(target), **use, "novel": novel}
     write_json(TABLE, dict(sorted({**table, name: entry}.items())))
     return target
 

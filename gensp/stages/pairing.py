@@ -43,6 +43,8 @@ class PairedStage(ItemStage):
         Registers one pair.
     level
         Of the icosphere whose images are handed on.
+    placement
+        Energy and floor of `geometry.shared_sphere.place_for_all`.
     max_failures
         More input shapes than this without correspondences end the stage.
     workers
@@ -54,12 +56,13 @@ class PairedStage(ItemStage):
         *,
         task: RegisterPair,
         level: int,
+        placement: Mapping[str, Any],
         max_failures: int = 0,
         workers: Workers | None = None,
         folder: Path | str = Path("."),
     ) -> None:
         super().__init__(table="edges", max_failures=max_failures, folder=folder)
-        self.task, self.level = task, level
+        self.task, self.level, self.placement = task, level, dict(placement)
         self.workers = workers or Workers()
 
     @classmethod
@@ -141,7 +144,8 @@ class PairedStage(ItemStage):
         """The shared surface on the sphere."""
         root = next(iter(images))
         start = self.task.shape(root).map
-        found = place_for_all(np.stack(list(images.values())), start.faces, start.sphere)
+        stack = np.stack(list(images.values()))
+        found = place_for_all(stack, start.faces, start.sphere, **self.placement)
         return SphericalMap(found.sphere, start.surface, start.faces, root)
 
     def _written(

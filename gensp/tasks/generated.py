@@ -61,8 +61,9 @@ class KnownShapes:
             rows, others = _common(self.truths[a], self.truths[b])
             some = np.linspace(0, len(rows) - 1, min(len(rows), self.points)).astype(int)
             rows, others = rows[some], others[some]
-            if len(rows):
-                found.append(KnownPair(a, b, rows, others, index[a].distance(index[b])))
+            apart = index[a].distance(index[b])
+            if len(rows) and apart > 0:  # c is a quotient by it
+                found.append(KnownPair(a, b, rows, others, apart))
         return found
 
     def figures(self, images: Mapping[str, Float[np.ndarray, "n 3"]]) -> dict[str, float]:

@@ -41,3 +41,11 @@ def test_a_pushed_vertex_crosses_the_far_side() -> None:
     around = (ball.faces == 3).any(axis=1)
     assert marks[around].any()
     assert marks[~around].any()
+
+
+def test_copies_of_a_face_count_and_are_not_paired_with_each_other() -> None:
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 5, 5], [6, 5, 5], [5, 6, 5]])
+    faces = np.array([[0, 1, 2]] * 20_000 + [[3, 4, 5]])
+    marks = self_intersecting_faces(Mesh(corners, faces))
+    assert marks[:-1].all()
+    assert not marks[-1]

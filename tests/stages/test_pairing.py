@@ -68,7 +68,8 @@ def run(inputs: dict[str, Run], folder: Path, **changes: object) -> PairedStage:
     task = partial(pairing_task, **{**SETTINGS, **changes})
     items = pairing_items(inputs=inputs, folder=folder, task=task)
     list(run_items(task(inputs=inputs, folder=folder), items, folder, SERIAL))
-    return PairedStage.from_runs(inputs, folder, task=task, level=4, workers=SERIAL)
+    numbers = {"level": 4, "placement": {"energy": "sigma", "floor": 1.0}}
+    return PairedStage.from_runs(inputs, folder, task=task, workers=SERIAL, **numbers)
 
 
 @dataclass(frozen=True)
