@@ -22,6 +22,9 @@ from gensp.errors import GenSPError, MissingData
 
 _PATIENCE = 10  # seconds in which a scheduler must answer
 
+# What these log of a lost connection is said here in one line.
+_TALKATIVE = ("distributed.client", "distributed.core", "tornado.application")
+
 
 def needed(module: str, extra: str) -> Any:
     """A library that only some installations have.
@@ -108,14 +111,12 @@ class DaskWorkers(ClusterWorkers):
     def _client(self, count: int) -> Iterator[Any]:
         distributed = needed("distributed", "dask")
         with ExitStack() as stack:
+            stack.enter_context(_silenced(*_TALKATIVE))
             if self.address is not None:
                 require_answer(self.address, "dask", "dask scheduler")
                 place: Any = self.address if "//" in self.address else f"tcp://{self.address}"
             else:
                 place = stack.enter_context(_own_dask(distributed, count))
-            # What its client logs of a lost connection is said here in one line.
-            for name in ("distributed.client", "distributed.core", "tornado.application"):
-                logging.getLogger(name).setLevel(logging.CRITICAL)
             yield stack.enter_context(distributed.Client(place, timeout=_PATIENCE))
 
     @contextmanager
@@ -141,6 +142,19 @@ class DaskWorkers(ClusterWorkers):
                     f"{client.scheduler.address}: compute=dask: the scheduler was lost; start it "
                     "again and run the same command to go on"
                 ) from None
+
+
+@contextmanager
+def _silenced(*names: str) -> Iterator[None]:
+    """Loggers that say nothing meanwhile, and as much as before afterwards."""
+    levels = {name: logging.getLogger(name).level for name in names}
+    for name in names:
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        for name, level in levels.items():
+            logging.getLogger(name).setLevel(level)
 
 
 @contextmanager

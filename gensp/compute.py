@@ -6,6 +6,7 @@ was killed goes on with what is missing, and a worker that dies takes nothing wi
 
 import os
 import sys
+import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -30,6 +31,7 @@ WorkOf = Callable[[str], Work]  # what is to be done with an item, made only whe
 Pool = Callable[[Sequence[str], int], Iterator[tuple[str, Any]]]
 
 _THREADS = ("OMP_NUM_THREADS", "IGL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_PATIENCE = 90  # seconds after which a file of another machine is seen, with NFS's own defaults
 _ATTEMPTS = 2  # an item at which so many workers die is given up, if nothing ran beside it
 
 
@@ -153,6 +155,8 @@ def run_items(
     ------
     OutputError
         A file could not be written.
+    GenSPError
+        Workers write into another folder than this one, or die without having done anything.
     """
     rows = {item: finished_row(folder, item) for item in items}
     yield from (row for row in rows.values() if row is not None)
@@ -163,7 +167,28 @@ def run_items(
     work = partial(partial, _run_item, task, folder)
     found = partial(stored_row, folder)
     for item, row in shared_out(work, waiting, workers, ranks=ranks, found=found, what=folder):
+        if row is not None:
+            require_seen(row_path(folder, item), folder)
         yield _given_up(folder, item) if row is None else row
+
+
+def require_seen(path: Path, folder: Path) -> None:
+    """Refuse work that was done on a machine which wrote its files elsewhere.
+
+    Raises
+    ------
+    GenSPError
+        A file in the folder that a worker has written is not there.
+    """
+    until = time.monotonic() + _PATIENCE
+    while not path.is_file():
+        if time.monotonic() >= until:
+            raise GenSPError(
+                f"{path}: a worker has written it, but it was not found here; the run folder must "
+                f"be the same folder on all machines: {folder.absolute()}; put it, with "
+                "paths.runs=FOLDER and paths.cache=FOLDER, on a file system that all of them share"
+            )
+        time.sleep(0.2)
 
 
 def shared_out(

@@ -28,6 +28,8 @@ _TRAINER_SCIENCE = (
     "fast_dev_run",
 )
 
+_SHAPES_PATHS = ("root", "keypoints", "split_file")
+
 
 def require_taken(cfg: DictConfig, overrides: Sequence[str]) -> None:
     """Refuse what was asked for and would be ignored.
@@ -120,6 +122,19 @@ def settings_of(cfg: DictConfig, inputs: Mapping[str, Run]) -> dict[str, Any]:
         "shapes": made(cfg.shapes).fingerprint if reads else None,
         "inputs": {name: found.outputs for name, found in inputs.items()},
     }
+
+
+def placed(cfg: DictConfig) -> DictConfig:
+    """The configuration with absolute paths, for workers that were started in another folder.
+
+    What is remembered of a run is taken from `cfg`, whose paths are as they were typed.
+    """
+    found: DictConfig = cfg.copy()
+    for table, keys in ((found.paths, list(found.paths)), (found.shapes, _SHAPES_PATHS)):
+        for key in keys:
+            if isinstance(table.get(key), str):
+                table[key] = str(Path(table[key]).absolute())
+    return found
 
 
 def _one_batch(data: dict[str, Any], trainer: dict[str, Any]) -> None:

@@ -9,7 +9,7 @@ import torch
 from lightning import Trainer, seed_everything
 from omegaconf import DictConfig, OmegaConf
 
-from gensp.configuration import made
+from gensp.configuration import made, placed
 from gensp.files import write_text
 from gensp.machine import first_process, forget_peak_memory
 from gensp.runs import Progress, Run, begin
@@ -39,8 +39,10 @@ def execute(
     quiet()
     seed_everything(cfg.seed, workers=True, verbose=False)
     torch.set_num_threads(cfg.threads or threads())
-    data = made(cfg.data, inputs=inputs, folder=folder)
-    module = made(cfg.stage.module, inputs=inputs, folder=folder)
+    ours, own = placed(cfg), folder.absolute()
+    read = {name: Run(run.folder.absolute()) for name, run in inputs.items()}
+    data = made(ours.data, inputs=read, folder=own)
+    module = made(ours.stage.module, inputs=read, folder=own)
     module.compiled = cfg.compile
     # After the inputs have proved good: a mistyped folder leaves no trace.
     _begin(cfg, folder, settings, state)

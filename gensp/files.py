@@ -75,6 +75,15 @@ def unwritable(path: Path, error: OSError, word: str) -> OutputError:
     )
 
 
+def near(path: Path) -> Path:
+    """A path as it is seen from the working directory, where it is below that.
+
+    Absolute paths are for workers elsewhere; what is told and kept should not depend on where.
+    """
+    here = Path.cwd()
+    return path.relative_to(here) if path.is_relative_to(here) else path
+
+
 def write_text(path: Path | str, text: str) -> None:
     """Write a text file whole or not at all."""
     with atomic_path(path) as temporary:

@@ -5,13 +5,13 @@ configuration, and wrong for whatever else a command line may do.
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from gensp.errors import Unsupported
 
 _TORCHRUN = "torchrun --nproc-per-node N train.py"
-_SLURM = "srun --nodes=M --ntasks-per-node=N python train.py trainer=slurm"
+_SLURM = "srun --kill-on-bad-exit=1 --nodes=M --ntasks-per-node=N python train.py trainer=slurm"
 
 
 def started_outside() -> str | None:
@@ -36,7 +36,7 @@ def require_startable(trainer: Mapping[str, Any], *, stage: str, sweep: bool) ->
     Unsupported
         With the commands that do.
     """
-    outside, several = started_outside(), _several(trainer)
+    outside, several = started_outside(), _processes(trainer) != 1
     if not trainer.get("num_nodes", 1):
         raise Unsupported(f"trainer=slurm: no tasks of SLURM were found; start it with: {_SLURM}")
     if several and outside == "slurm" and os.environ["SLURM_NTASKS"] == "1":
@@ -44,13 +44,15 @@ def require_startable(trainer: Mapping[str, Any], *, stage: str, sweep: bool) ->
             "trainer of several processes: one task of SLURM was found, one for each device is "
             f"required; start it with: {_SLURM}"
         )
+    _require_agreement(trainer, _world(outside, several=several))
     if outside or not several:
         return
     if int(trainer.get("num_nodes", 1)) > 1:
         raise Unsupported(
             "trainer.num_nodes: ranks on several machines must be started on each of them; start "
             f"them with: {_SLURM}; or on each: torchrun --nnodes M --nproc-per-node N "
-            "--rdzv-backend c10d --rdzv-endpoint HOST:PORT train.py trainer=ddp"
+            "--rdzv-backend c10d --rdzv-endpoint HOST:PORT train.py trainer=ddp "
+            "trainer.num_nodes=M"
         )
     if sweep:
         raise Unsupported(
@@ -67,6 +69,43 @@ def require_startable(trainer: Mapping[str, Any], *, stage: str, sweep: bool) ->
         )
 
 
-def _several(trainer: Mapping[str, Any]) -> bool:
-    """Whether a trainer may have more than one process."""
-    return str(trainer.get("devices", 1)) != "1" or trainer.get("num_nodes", 1) != 1
+def _processes(trainer: Mapping[str, Any]) -> int | None:
+    """How many processes a trainer has; None where the machine decides, as with devices=auto."""
+    devices, nodes = trainer.get("devices", 1), int(trainer.get("num_nodes", 1))
+    if isinstance(devices, str) and "," in devices:
+        devices = [word for word in devices.split(",") if word.strip()]
+    if isinstance(devices, Sequence) and not isinstance(devices, str):
+        return len(devices) * nodes
+    # Also where it is none of Lightning's words: that is told by Lightning.
+    return int(devices) * nodes if str(devices).isdigit() else None
+
+
+def _world(outside: str | None, *, several: bool) -> int:
+    """How many processes were started together, this one among them."""
+    if outside == "torchrun":
+        return int(os.environ.get("WORLD_SIZE", "1"))
+    # What srun sets for its step alone. A job's own script is one process of a job of many tasks.
+    step = int(os.environ.get("SLURM_STEP_NUM_TASKS", "1"))
+    if outside == "slurm":
+        return int(os.environ["SLURM_NTASKS"]) if several and step == 1 else step
+    # A shell that srun opened is one process, whatever its step has.
+    return 1 if "SLURM_PTY_PORT" in os.environ else step
+
+
+def _require_agreement(trainer: Mapping[str, Any], world: int) -> None:
+    """Refuse processes started together of which the trainer knows nothing: each would be alone.
+
+    With devices=auto only torch knows how many there are, and a strategy of ranks looks by itself.
+    """
+    asked = _processes(trainer)
+    if asked is None and trainer.get("strategy", "auto") == "auto" and world > 1:
+        found = "a trainer that may be a single process (trainer.strategy=auto)"
+    elif asked is not None and world != asked and (world > 1 or started_outside() is not None):
+        found = f"a trainer of {asked} (trainer.devices and trainer.num_nodes)"
+    else:
+        return
+    raise Unsupported(
+        f"ranks: {world} processes were started together, and {found} was found; their numbers "
+        "must agree, or each would do the same work in one folder; start one process, or as many "
+        f"as the trainer has with: {_TORCHRUN} trainer=ddp; on SLURM with: {_SLURM}"
+    )

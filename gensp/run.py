@@ -49,18 +49,28 @@ def run(cfg: DictConfig, overrides: Sequence[str] = (), *, sweep: bool = False) 
     if cfg.stage.name == "prepare":
         require_apart(cfg.prepare.out, cfg.shapes.get("root"))
     if cfg.stage.name == "all":
-        return run_pipeline(cfg, overrides)
+        return run_pipeline(cfg, overrides, sweep=sweep)
     return run_stage(cfg, overrides)
 
 
-def run_pipeline(cfg: DictConfig, overrides: Sequence[str] = ()) -> float | None:
-    """Run the stages of `cfg.pipeline` in order; returns the headline of the last."""
+def run_pipeline(
+    cfg: DictConfig, overrides: Sequence[str] = (), *, sweep: bool = False
+) -> float | None:
+    """Run the stages of `cfg.pipeline` in order; returns the headline of the last.
+
+    Raises
+    ------
+    Unsupported
+        As of `run`, for any of the stages, before the first is begun.
+    """
     typed = [entry for entry in overrides if not entry.startswith("stage=")]
+    composed = [[*_without(typed, entry), *entry] for entry in cfg.pipeline]
+    stages = [compose("config", overrides=words) for words in composed]
+    for stage in stages:
+        require_startable(stage.trainer, stage=cfg.stage.name, sweep=sweep)
     headline = None
-    for number, entry in enumerate(cfg.pipeline, start=1):
-        words = [*_without(typed, entry), *entry]
-        stage = compose("config", overrides=words)
-        headline = run_stage(stage, words, place=f"{number}/{len(cfg.pipeline)}")
+    for number, (stage, words) in enumerate(zip(stages, composed, strict=True), start=1):
+        headline = run_stage(stage, words, place=f"{number}/{len(stages)}")
     show_variants(Path(cfg.paths.runs) / cfg.name)
     return headline
 
@@ -88,7 +98,7 @@ def run_stage(cfg: DictConfig, overrides: Sequence[str] = (), place: str = "") -
     require_values(cfg)
     name = cfg.stage.name
     runs = runs_of(cfg, overrides)
-    cfg = named(cfg)
+    cfg = named(cfg, runs.variant_of(name))
     folder = runs.folder(name)
     inputs = {need: runs.open(need, needed_by=name) for need in cfg.stage.needs}
     settings = settings_of(cfg, inputs)

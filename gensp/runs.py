@@ -97,7 +97,11 @@ class Runs:
         given = self.outputs.get(stage)
         if given:
             return Path(given)
-        return Path(self.root) / self.experiment / self.shares.get(stage, self.variant) / stage
+        return Path(self.root) / self.experiment / self.variant_of(stage) / stage
+
+    def variant_of(self, stage: str) -> str:
+        """The variant that a stage's folder belongs to, with what a sweep adds to its name."""
+        return self.shares.get(stage, self.variant)
 
     def open(self, stage: str, *, needed_by: str) -> Run:
         """The finished run of a stage.

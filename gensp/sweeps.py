@@ -82,12 +82,19 @@ def _word(cfg: DictConfig, key: str) -> str:
     return re.sub(r"[^\w.,-]+", "_", str(plain)).strip("_")
 
 
-def named(cfg: DictConfig) -> DictConfig:
-    """The configuration whose tables call the variant by what is swept, too."""
-    if not cfg.get("swept"):
-        return cfg
+def named(cfg: DictConfig, variant: str) -> DictConfig:
+    """The configuration whose tables and loggers call the variant by what is swept, too.
+
+    Parameters
+    ----------
+    variant
+        The name that the stage's folder belongs to.
+    """
     found: DictConfig = cfg.copy()
-    found.method.variant = cfg.method.variant + suffix(cfg, "evaluate")
+    # No key of the configuration before: a folder is not named by typing it.
+    OmegaConf.update(found, "variant", variant, force_add=True)
+    if cfg.get("swept"):
+        found.method.variant = cfg.method.variant + suffix(cfg, "evaluate")
     return found
 
 

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from gensp.comparison import compare_methods, compare_variants
-from gensp.files import read_json
+from gensp.files import near, read_json
 from gensp.machine import first_process
 from gensp.tables import rich_table
 
@@ -82,7 +82,7 @@ def report(folder: Path, metrics: Mapping[str, Any], seconds: float) -> None:
         console.print(rich_table(read_json(folder / "summary.json")))
     for name in _SHOWN:
         if (folder / name).exists():
-            say(f"      {folder / name}")
+            say(f"      {near(folder / name)}")
 
 
 @once

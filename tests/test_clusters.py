@@ -1,59 +1,28 @@
 """Items over dask, ray and submitit, each on this machine."""
 
+import json
+import logging
 import os
 import shutil
-import signal
 import sys
-import time
-from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import distributed
 import pytest
-from commands import smoke_words, train
+import submitit
+from commands import ROOT, run_here, smoke_words, train
 from compare import different
+from trying import Trying
 
-from gensp.arrays import SlurmWorkers
-from gensp.clusters import DaskWorkers, RayWorkers, needed
+from gensp.clusters import _TALKATIVE, DaskWorkers, RayWorkers, needed
 from gensp.compute import Row, Workers, run_items, stored_rows
-from gensp.errors import BadMesh, GenSPError, MissingData
+from gensp.errors import GenSPError, MissingData, OutputError
+from gensp.job_arrays import SlurmWorkers, _is_nobodys_fault
 
 pytestmark = pytest.mark.slow
 
 ITEMS = ["a", "b@3", "bad", "c/d", "e", "f"]
-
-
-@dataclass(frozen=True)
-class Trying:
-    """Fails at one item, and kills its process at others, once or always."""
-
-    folder: Path
-    once: tuple[str, ...] = ()
-    always: tuple[str, ...] = ()
-
-    def __call__(self, item: str) -> Row:
-        if item == "bad":
-            raise BadMesh(f"{item}: found holes")
-        mark = self.folder / f"{item.replace('/', '-')}.died"
-        if item in self.always or (item in self.once and not mark.exists()):
-            mark.touch()
-            os.kill(os.getpid(), signal.SIGKILL)
-        return {"id": item, "process": os.getpid(), "threads": os.environ.get("OMP_NUM_THREADS")}
-
-
-@dataclass(frozen=True)
-class Ending:
-    """Kills the task of the array that its process belongs to, once."""
-
-    folder: Path
-
-    def __call__(self, item: str) -> Row:
-        mark = self.folder / "ended"
-        if item == "e" and not mark.exists():
-            mark.touch()
-            os.kill(os.getppid(), signal.SIGKILL)
-            time.sleep(3)
-        return {"id": item}
 
 
 def fault(item: str) -> Row:
@@ -94,11 +63,32 @@ def test_every_item_has_its_row_whoever_dies(workers: Workers, tmp_path: Path) -
 
 
 @pytest.mark.parametrize("workers", ["slurm"], indirect=True)
-def test_an_array_is_followed_by_one_of_what_is_left(workers: Workers, tmp_path: Path) -> None:
+def test_an_item_that_kills_the_task_of_an_array_is_given_up(
+    workers: Workers, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # submitit waits so long for the result of a dead task.
+    monkeypatch.setattr(submitit.Job, "_results_timeout_s", 1)
+    task = Trying(tmp_path, once=("a",), always=("c/d",), whom=os.getppid)
     with pytest.warns(UserWarning, match="a worker died"):
-        rows = list(run_items(Ending(tmp_path), ITEMS, tmp_path / "run", workers))
+        rows = list(run_items(task, ITEMS, tmp_path / "run", workers))
     assert sorted(str(row["id"]) for row in rows) == ITEMS
-    assert not any("error" in row for row in stored_rows(tmp_path / "run"))
+    failed = {
+        row["id"]: str(row["error"]) for row in stored_rows(tmp_path / "run") if "error" in row
+    }
+    assert sorted(failed) == ["bad", "c/d"]
+    assert "c/d: its worker process died 2 times while nothing ran beside it" in failed["c/d"]
+
+
+@pytest.mark.parametrize("state", ["TIMEOUT", "CANCELLED by 1000", "NODE_FAIL"])
+def test_no_item_is_to_blame_for_a_time_limit(state: str) -> None:
+    assert _is_nobodys_fault(SimpleNamespace(state=state))
+    assert not _is_nobodys_fault(SimpleNamespace(state="OUT_OF_MEMORY"))
+
+
+@pytest.mark.parametrize("workers", ["dask", "ray", "slurm"], indirect=True)
+def test_a_full_disk_is_told_as_on_one_machine(workers: Workers, tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match=r"^full: cannot be written$"):
+        list(run_items(Trying(tmp_path), ["full"], tmp_path / "run", workers))
 
 
 @pytest.mark.parametrize("workers", ["dask", "ray", "slurm"], indirect=True)
@@ -156,6 +146,31 @@ def test_a_scheduler_that_runs_is_used(tmp_path: Path, monkeypatch: pytest.Monke
         workers = DaskWorkers(address=cluster.scheduler_address)
         with pytest.raises(GenSPError, match=r"the scheduler has no workers; .* workers\.jobs=N"):
             workers.count()
+
+
+def test_workers_that_begin_elsewhere_write_into_the_run_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    places = [str(ROOT), str(Path(__file__).parent), *sys.path]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(places))
+    here, elsewhere = tmp_path / "here", tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    here.mkdir()
+    monkeypatch.chdir(elsewhere)
+    levels = [logging.getLogger(name).level for name in _TALKATIVE]
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None
+    ) as cluster:
+        monkeypatch.chdir(here)
+        words = (*smoke_words(Path("runs")), "stage=augment", "compute=dask", "logger=none")
+        run_here(*words, f"workers.address={cluster.scheduler_address}")
+    folder = here / "runs" / "smoke" / "full" / "augment"
+    assert json.loads((folder / "manifest.json").read_text())["metrics"]["items"] > 0
+    assert list(folder.glob("rows/*.json"))
+    assert not list(elsewhere.iterdir())
+    told = [path for path in folder.rglob("*") if path.suffix in (".json", ".yaml", ".csv")]
+    assert not [path for path in told if str(tmp_path) in path.read_text()]
+    assert [logging.getLogger(name).level for name in _TALKATIVE] == levels
 
 
 def test_slurm_without_sbatch_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

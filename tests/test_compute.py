@@ -1,7 +1,6 @@
 """Items over workers: rows, skipping, failures, dead workers."""
 
 import os
-import signal
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from trying import Trying
 
 from gensp.compute import (
     Row,
@@ -44,18 +44,6 @@ class Mark:
     @property
     def calls(self) -> list[str]:
         return sorted((self.folder / "calls.txt").read_text().split())
-
-
-@dataclass(frozen=True)
-class Fatal:
-    """Meets a full disk."""
-
-    way: str
-
-    def __call__(self, item: str) -> Row:
-        if self.way == "disk":
-            raise OutputError(f"{item}: cannot be written")
-        return {"id": item}
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -95,26 +83,11 @@ def test_halves_of_a_killed_run_are_no_rows(tmp_path: Path) -> None:
     assert len(stored_rows(tmp_path)) == len(ITEMS)
 
 
-def test_a_full_disk_ends_the_run(tmp_path: Path) -> None:
-    with pytest.raises(OutputError):
-        list(run_items(Fatal("disk"), ITEMS, tmp_path, Workers(1)))
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_full_disk_ends_the_run(tmp_path: Path, jobs: int) -> None:
+    with pytest.raises(OutputError, match="full: cannot be written"):
+        list(run_items(Trying(tmp_path), ["full"], tmp_path, Workers(jobs)))
     assert stored_rows(tmp_path) == []
-
-
-@dataclass(frozen=True)
-class Deadly:
-    """Kills its own process at some items, as the system does for want of memory."""
-
-    folder: Path
-    once: tuple[str, ...] = ()
-    always: tuple[str, ...] = ()
-
-    def __call__(self, item: str) -> Row:
-        mark = self.folder / f"{item.replace('/', '-')}.died"
-        if item in self.always or (item in self.once and not mark.exists()):
-            mark.touch()
-            os.kill(os.getpid(), signal.SIGKILL)
-        return {"id": item, "process": os.getpid()}
 
 
 MANY = [*ITEMS, "e", "f"]
@@ -123,7 +96,7 @@ WORKERS = {"two": Workers(2), "one": Workers(1, isolated=True), "three": Workers
 
 @pytest.mark.parametrize("name", WORKERS)
 def test_a_worker_that_is_killed_once_loses_nothing(tmp_path: Path, name: str) -> None:
-    task = Deadly(tmp_path, once=("b@3", "f"))
+    task = Trying(tmp_path, once=("b@3", "f"))
     with pytest.warns(UserWarning, match="a worker died; its items are done again"):
         rows = list(run_items(task, MANY, tmp_path, WORKERS[name]))
     assert sorted(str(row["id"]) for row in rows) == MANY
@@ -133,7 +106,7 @@ def test_a_worker_that_is_killed_once_loses_nothing(tmp_path: Path, name: str) -
 
 @pytest.mark.parametrize("name", WORKERS)
 def test_an_item_that_always_kills_is_given_up(tmp_path: Path, name: str) -> None:
-    task = Deadly(tmp_path, always=("c/d",))
+    task = Trying(tmp_path, always=("c/d",))
     with pytest.warns(UserWarning, match="a worker died"):
         rows = list(run_items(task, MANY, tmp_path, WORKERS[name]))
     assert sorted(str(row["id"]) for row in rows) == MANY
@@ -141,7 +114,7 @@ def test_an_item_that_always_kills_is_given_up(tmp_path: Path, name: str) -> Non
     assert [row["id"] for row in failed] == ["c/d"]
     assert "c/d: its worker process died 2 times while nothing ran beside it" in str(failed)
     assert finished_row(tmp_path, "c/d") is None, "tried again next time"
-    again = list(run_items(Deadly(tmp_path), MANY, tmp_path, WORKERS[name]))
+    again = list(run_items(Trying(tmp_path), MANY, tmp_path, WORKERS[name]))
     assert all("error" not in row for row in again)
 
 
@@ -181,6 +154,21 @@ def test_workers_that_die_before_they_work_are_told() -> None:
     workers = SimpleNamespace(count=lambda ranks: 1, pool=pool)
     with pytest.raises(GenSPError, match="here: all workers died twice before one item was done"):
         list(shared_out(str, ["a"], workers, found=lambda item: None, what="here"))
+
+
+def test_rows_that_are_written_elsewhere_are_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker whose run folder is another one than this command's."""
+
+    @contextmanager
+    def pool(work: Any, count: int) -> Iterator[Any]:
+        yield lambda items, most: iter([(item, {"id": item}) for item in items])
+
+    workers = SimpleNamespace(count=lambda ranks: 1, pool=pool)
+    monkeypatch.setattr("gensp.compute._PATIENCE", 0.3)
+    with pytest.raises(GenSPError, match="the run folder must be the same folder on all machines"):
+        list(run_items(Trying(tmp_path), ITEMS, tmp_path, workers))
 
 
 def test_ranks_share_the_cores() -> None:

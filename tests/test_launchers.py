@@ -5,7 +5,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from commands import smoke_words, train
+from commands import run_here, smoke_words, train
 from hydra.errors import MissingConfigException
 
 from gensp.compute import Row, Workers
@@ -14,7 +14,10 @@ from gensp.errors import Unsupported
 from gensp.mistakes import hydra_line
 from gensp.ranks import require_startable, started_outside
 
-OUTSIDE = ("TORCHELASTIC_RUN_ID", "SLURM_NTASKS", "SLURM_JOB_NAME", "SLURM_NTASKS_PER_NODE")
+OUTSIDE = (
+    *("TORCHELASTIC_RUN_ID", "WORLD_SIZE", "SLURM_NTASKS", "SLURM_JOB_NAME"),
+    *("SLURM_NTASKS_PER_NODE", "SLURM_STEP_NUM_TASKS", "SLURM_PTY_PORT"),
+)
 ONE = {"strategy": "auto", "devices": 1, "num_nodes": 1}
 DDP = {"strategy": {"_target_": "gensp.stages.session.ddp"}, "devices": "auto", "num_nodes": 1}
 
@@ -50,15 +53,68 @@ def test_what_lightning_cannot_start_is_refused(
 
 @pytest.mark.parametrize("stage", ["all", "implicit"])
 @pytest.mark.parametrize("sweep", [False, True])
-def test_ranks_from_outside_may_do_anything(
+def test_as_many_ranks_from_outside_as_the_trainer_has_may_do_anything(
     stage: str, sweep: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SLURM_NTASKS", "16")
+    monkeypatch.setenv("SLURM_STEP_NUM_TASKS", "16")
     assert started_outside() == "slurm"
     require_startable(DDP | {"num_nodes": 2, "devices": 8}, stage=stage, sweep=sweep)
     monkeypatch.setenv("TORCHELASTIC_RUN_ID", "none")
+    monkeypatch.setenv("WORLD_SIZE", "8")
     assert started_outside() == "torchrun"
-    require_startable(DDP, stage=stage, sweep=sweep)
+    for devices in ("auto", -1, 8, "8", [0, 1, 2, 3, 4, 5, 6, 7], "0,1,2,3,4,5,6,7"):
+        require_startable(DDP | {"devices": devices}, stage=stage, sweep=sweep)
+
+
+@pytest.mark.parametrize(
+    "trainer",
+    [
+        ONE,
+        ONE | {"devices": "auto"},
+        DDP | {"devices": 4},
+        DDP | {"devices": [3]},
+        DDP | {"devices": 8, "num_nodes": 2},
+    ],
+)
+@pytest.mark.parametrize(
+    "outside",
+    [
+        {"TORCHELASTIC_RUN_ID": "none", "WORLD_SIZE": "8"},
+        {"SLURM_NTASKS": "8", "SLURM_STEP_NUM_TASKS": "8"},
+        # srun within salloc, where Lightning does not look at SLURM.
+        {"SLURM_NTASKS": "8", "SLURM_STEP_NUM_TASKS": "8", "SLURM_JOB_NAME": "interactive"},
+    ],
+)
+def test_ranks_from_outside_that_the_trainer_does_not_have_are_refused(
+    trainer: dict[str, object], outside: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in outside.items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(Unsupported, match=r"ranks: 8 processes were started .* torchrun"):
+        require_startable(trainer, stage="implicit", sweep=False)
+
+
+def test_one_process_in_a_job_of_many_tasks_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SLURM_NTASKS", "8")
+    require_startable(ONE, stage="all", sweep=True)
+    monkeypatch.setenv("SLURM_JOB_NAME", "bash")
+    monkeypatch.setenv("SLURM_STEP_NUM_TASKS", "8")
+    monkeypatch.setenv("SLURM_PTY_PORT", "4000")
+    require_startable(ONE, stage="all", sweep=True)
+
+
+def test_a_list_of_one_device_is_one_process() -> None:
+    require_startable(ONE | {"devices": [3]}, stage="all", sweep=True)
+    with pytest.raises(Unsupported, match="stage=all"):
+        require_startable(ONE | {"devices": [0, 3]}, stage="all", sweep=False)
+
+
+def test_a_trainer_within_a_pipeline_is_looked_at_before_the_first_stage(tmp_path: Path) -> None:
+    stages = "pipeline=[['stage=augment'],['stage=implicit','trainer=ddp']]"
+    with pytest.raises(Unsupported, match="stage=all: a trainer of several processes"):
+        run_here(*smoke_words(tmp_path), stages)
+    assert not list(tmp_path.iterdir())
 
 
 def test_one_task_of_slurm_has_no_ranks(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,7 @@ from commands import ROOT, STAGES, environment, smoke_words, train
 from hydra import compose, initialize_config_dir
 
 from gensp.configuration import runs_of, settings_of
-from gensp.sweeps import with_swept
+from gensp.sweeps import named, with_swept
 
 pytestmark = pytest.mark.slow
 
@@ -129,3 +129,18 @@ def test_words_that_name_no_folder() -> None:
 def test_a_mistyped_key_of_a_sweep_is_told(smoke: Path) -> None:
     done = train(*smoke_words(smoke), "stage=finetune", "swept=[shapes]", code=2)
     assert "swept: has 'shapes'; keys of recipe.* with a value, or seed" in done.stderr
+
+
+def test_every_value_of_a_sweep_has_a_name_of_its_own_in_wandb() -> None:
+    names = set()
+    words = ("experiment=smoke", "logger=wandb_offline", "stage=parameterize")
+    swept = ("swept=[recipe.finetune.isometry_weight]", "recipe.finetune.isometry_weight=")
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        for more in ((), (swept[0], f"{swept[1]}0.1"), (swept[0], f"{swept[1]}1.0")):
+            for refine in ("newton", "certify"):
+                cfg = compose("config", overrides=[*words, f"refine={refine}", *more])
+                runs = runs_of(cfg)
+                name = named(cfg, runs.variant_of("parameterize")).logger.wandb.name
+                assert runs.folder("parameterize").as_posix().endswith(name)
+                names.add(name)
+    assert len(names) == 6

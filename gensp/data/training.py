@@ -15,7 +15,7 @@ from lightning import LightningDataModule
 from torch import Tensor
 from torch.utils.data import DataLoader
 
-from gensp.compute import Workers, shared_out
+from gensp.compute import Workers, require_seen, shared_out
 from gensp.data.arrays import Content, TrainingArrays
 from gensp.data.batches import CorrespondenceDataset, EpochDataset, SdfDataset
 from gensp.data.items import ItemMeshes, names_of, training_items
@@ -193,7 +193,12 @@ class SdfModule(FitModule):
             found=lambda id: paths[id] if paths[id].is_file() else None,
             what=self.cache,
         )
-        lost = [id for id, path in done if path is None]
+        lost = []
+        for id, path in done:
+            if path is None:
+                lost.append(id)
+            else:
+                require_seen(paths[id], self.cache)
         if lost:
             raise GenSPError(
                 f"{', '.join(lost)}: a worker died of its distance samples, often for want of "

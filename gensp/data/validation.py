@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from gensp.errors import BadMesh, DamagedFile, MissingData, Unsupported
-from gensp.files import read_json, write_json
+from gensp.files import near, read_json, write_json
 from gensp.geometry.formats import MAX_FACES
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def checked(
     passed = _read_record(record)
     known = len(passed)
     most = MAX_FACES if max_faces is None else max_faces
-    reasons = {shape.id: _verdict(shape.path, most, passed) for shape in shapes}
+    reasons = {shape.id: _verdict(near(shape.path), most, passed) for shape in shapes}
     if record is not None and len(passed) > known:
         write_json(record, sorted(passed))
     bad = [(id, reason) for id, reason in reasons.items() if reason is not None]

@@ -87,7 +87,12 @@ class Prepare:
         try:
             mesh = self.collection.mesh(id)
         except BadMesh as error:
-            return Bundle({"id": id, "verdict": DROPPED, "reason": " ".join(str(error).split())})
+            # The file alone: where it was is no property of the collection that is written.
+            reason = " ".join(str(error).split())
+            file = Path(reason.split(": ")[0])
+            if file.is_absolute():
+                reason = reason.removeprefix(f"{file.parent}/")
+            return Bundle({"id": id, "verdict": DROPPED, "reason": reason})
         # Seeded by the name, so that a mesh does not depend on the rest of the collection.
         generator = np.random.default_rng(int(content_hash(id, self.seed), 16))
         found = self.preparation(mesh, generator)

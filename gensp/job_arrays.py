@@ -7,12 +7,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
 from gensp.clusters import needed
 from gensp.compute import Pool, Work, WorkerDied, Workers, WorkOf, shared_out
 from gensp.errors import GenSPError
+
+# States of a task of SLURM that its items have not brought about.
+_ENDED_EARLY = {"TIMEOUT", "PREEMPTED", "CANCELLED", "NODE_FAIL", "BOOT_FAIL", "REVOKED"}
+_POLL = 10  # seconds between two looks at an array; a cluster's scheduler is asked seldom
+_POLL_HERE = 1  # the same for processes of this machine
 
 
 @dataclass(frozen=True)
@@ -80,27 +86,54 @@ def _by_array(
     ]
     own = Workers(jobs=max(1, workers.jobs), isolated=True)
     jobs = executor.map_array(partial(run_share, own), shares)
-    died = False
+    share_of = dict(zip(jobs, shares, strict=True))
+    pause = _POLL if workers.cluster == "slurm" else _POLL_HERE
+    died: list[list[str]] = []
     try:
-        for job in submitit.helpers.as_completed(jobs):
+        for job in submitit.helpers.as_completed(jobs, poll_frequency=pause):
             try:
-                yield from job.result()
+                yield from _told(job.result())
             except submitit.core.utils.FailedJobError:
                 raise
             except submitit.core.utils.UncompletedJobError:
-                died = True
+                died.append([] if _is_nobodys_fault(job) else list(share_of[job]))
     finally:
         for job in jobs:
             if not job.done():
                 job.cancel()
     if died:
-        raise WorkerDied
+        raise WorkerDied(_in_turns(died))
 
 
-def run_share(workers: Workers, share: Mapping[str, Work]) -> list[tuple[str, Any]]:
-    """What one task of an array does."""
+def _is_nobodys_fault(job: Any) -> bool:
+    """Whether a task ended for its time, its node or by hand: then no item is at fault."""
+    return str(job.state).split(" ")[0] in _ENDED_EARLY
+
+
+def _in_turns(shares: Sequence[Sequence[str]]) -> list[str]:
+    """First the first items of all shares: a share is begun with those."""
+    turns = zip_longest(*shares)
+    return [item for turn in turns for item in turn if item is not None]
+
+
+def _told(result: list[tuple[str, Any]] | GenSPError) -> list[tuple[str, Any]]:
+    """What a task handed back; an error of ours is raised here, where it is one line."""
+    if isinstance(result, GenSPError):
+        raise result
+    return result
+
+
+def run_share(workers: Workers, share: Mapping[str, Work]) -> list[tuple[str, Any]] | GenSPError:
+    """What one task of an array does.
+
+    An error of ours is handed back as a value: of one that is raised submitit keeps the trace
+    alone.
+    """
     done = shared_out(share.__getitem__, list(share), workers, found=_nothing, what="items")
-    return list(done)
+    try:
+        return list(done)
+    except GenSPError as error:
+        return error
 
 
 def _nothing(item: str) -> None:
