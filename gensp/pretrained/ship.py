@@ -8,9 +8,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from gensp.compiled.energies import ENERGIES
 from gensp.errors import DamagedFile, GenSPError, MissingStage, Unsupported
 from gensp.files import atomic_path, read_json, read_yaml, write_json
+from gensp.geometry.spherical_energy import ENERGIES
 from gensp.methods.refinement import CertifiedRefinement
 from gensp.models import load_model
 from gensp.pretrained import FITS, FOLDER, LARGEST, TABLE, Shipped, digest
