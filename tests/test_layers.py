@@ -23,7 +23,7 @@ ALLOWED = {
     "compute": CORE,
     "data": CORE | {"geometry", "compute", "checksums"},
     "methods": CORE | {"geometry", "models", "data.clouds"},
-    "pretrained": CORE | {"methods", "models"},
+    "pretrained": CORE | {"geometry", "methods", "models"},
     "machine": set(),
     "checksums": CORE,
     "runs": CORE | {"machine", "checksums"},
@@ -32,7 +32,7 @@ ALLOWED = {
     "pictures": CORE | {"geometry", "tables"},
 }
 ALLOWED["clusters"] = CORE | {"compute"}
-ALLOWED["arrays"] = CORE | {"compute", "clusters"}
+ALLOWED["job_arrays"] = CORE | {"compute", "clusters"}
 ALLOWED["ranks"] = CORE
 ALLOWED["benchmark"] = CORE | {"tables"}
 ALLOWED["comparison"] = CORE | {"tables", "benchmark", "pictures"}
