@@ -55,8 +55,9 @@ class Groupings:
                 if self.folder is not None:
                     self.folder.mkdir(parents=True, exist_ok=True)
                 self._file = tempfile.TemporaryFile(dir=self.folder, buffering=0)  # noqa: SIM115
-            if os.pwrite(self._file.fileno(), data, row * self._bytes) != len(data):
-                raise OSError("no space left on device")
+            done = 0
+            while done < len(data):  # after a part the system tells why there is no more
+                done += os.pwrite(self._file.fileno(), data[done:], row * self._bytes + done)
         except OSError as error:
             raise OutputError(
                 f"{self.folder or tempfile.gettempdir()}: cannot be written "
