@@ -21,9 +21,10 @@ from pathlib import Path
 from hydra import compose, initialize_config_dir
 from rich.console import Console
 
-from gensp.compute import Row, Task, Workers, run_items
+from gensp.compute import Row, Task, run_items
 from gensp.configuration import made
 from gensp.methods.hierarchical import compile_loops
+from gensp.sharing import Workers
 
 ROOT = Path(__file__).parents[1]
 STAGES = {"maps": ("stage=parameterize", "method=dirichlet"), "flows": ("stage=augment",)}

@@ -17,8 +17,8 @@ from itertools import islice
 from typing import Any
 from urllib.parse import urlsplit
 
-from gensp.compute import Pool, Work, WorkerDied, Workers, WorkOf
 from gensp.errors import GenSPError, MissingData
+from gensp.sharing import Pool, Work, WorkerDied, Workers, WorkOf
 
 _PATIENCE = 10  # seconds in which a scheduler must answer
 

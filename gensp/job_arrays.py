@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from gensp.clusters import needed
-from gensp.compute import Pool, Work, WorkerDied, Workers, WorkOf, shared_out
 from gensp.errors import GenSPError
+from gensp.sharing import Pool, Work, WorkerDied, Workers, WorkOf, shared_out
 
 # States of a task of SLURM that its items have not brought about.
 _ENDED_EARLY = {"TIMEOUT", "PREEMPTED", "CANCELLED", "NODE_FAIL", "BOOT_FAIL", "REVOKED"}

@@ -16,9 +16,10 @@ from compare import different
 from trying import Trying
 
 from gensp.clusters import _TALKATIVE, DaskWorkers, RayWorkers, needed
-from gensp.compute import Row, Workers, run_items, stored_rows
+from gensp.compute import Row, run_items, stored_rows
 from gensp.errors import GenSPError, MissingData, OutputError
 from gensp.job_arrays import SlurmWorkers, _is_nobodys_fault
+from gensp.sharing import Workers
 
 pytestmark = pytest.mark.slow
 

@@ -11,18 +11,10 @@ from typing import Any
 import pytest
 from trying import Trying
 
-from gensp.compute import (
-    Row,
-    WorkerDied,
-    Workers,
-    finished_row,
-    row_path,
-    run_items,
-    shared_out,
-    stored_rows,
-)
+from gensp.compute import Row, finished_row, row_path, run_items, stored_rows
 from gensp.errors import BadMesh, GenSPError, OutputError
 from gensp.runs import tidy
+from gensp.sharing import WorkerDied, Workers, shared_out
 
 ITEMS = ["a", "b@3", "c/d"]
 

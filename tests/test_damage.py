@@ -13,13 +13,14 @@ from commands import run_here, smoke_words
 from compare import different
 
 from gensp.checksums import require_intact
-from gensp.compute import Row, Workers, row_path, run_items, stored_rows
+from gensp.compute import Row, row_path, run_items, stored_rows
 from gensp.data.shapes import ShapeCollection
 from gensp.errors import DamagedFile, RunInUse, TrainingDiverged
 from gensp.files import load_npz, read_json, read_rows, save_npz
 from gensp.geometry.mesh import Mesh, save_mesh
 from gensp.occupancy import occupied
 from gensp.runs import begin, clear, listing, restart
+from gensp.sharing import Workers
 from gensp.stages.base import FitStage
 from gensp.stages.callbacks import WholeCheckpoints
 

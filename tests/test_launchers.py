@@ -8,11 +8,12 @@ import pytest
 from commands import run_here, smoke_words, train
 from hydra.errors import MissingConfigException
 
-from gensp.compute import Row, Workers
+from gensp.compute import Row
 from gensp.data.modules import ItemsModule
 from gensp.errors import Unsupported
 from gensp.mistakes import hydra_line
 from gensp.ranks import require_startable, started_outside
+from gensp.sharing import Workers
 
 OUTSIDE = (
     *("TORCHELASTIC_RUN_ID", "WORLD_SIZE", "SLURM_NTASKS", "SLURM_JOB_NAME"),

@@ -20,8 +20,9 @@ ALLOWED = {
     "geometry": CORE | {"compiled"},
     "models": CORE | {"geometry"},
     "losses": CORE | {"geometry"},
-    "compute": CORE,
-    "data": CORE | {"geometry", "compute", "checksums"},
+    "sharing": CORE,
+    "compute": CORE | {"sharing"},
+    "data": CORE | {"geometry", "compute", "sharing", "checksums"},
     "methods": CORE | {"geometry", "models", "data.clouds"},
     "pretrained": CORE | {"geometry", "methods", "models"},
     "machine": set(),
@@ -31,8 +32,8 @@ ALLOWED = {
     "tables": CORE,
     "pictures": CORE | {"geometry", "tables"},
 }
-ALLOWED["clusters"] = CORE | {"compute"}
-ALLOWED["job_arrays"] = CORE | {"compute", "clusters"}
+ALLOWED["clusters"] = CORE | {"sharing"}
+ALLOWED["job_arrays"] = CORE | {"sharing", "clusters"}
 ALLOWED["ranks"] = CORE
 ALLOWED["benchmark"] = CORE | {"tables"}
 ALLOWED["comparison"] = CORE | {"tables", "benchmark", "pictures"}

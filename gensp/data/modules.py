@@ -7,8 +7,9 @@ from typing import Self
 from lightning import LightningDataModule, Trainer
 from torch.utils.data import DataLoader, IterableDataset
 
-from gensp.compute import Row, Task, Workers, run_items
+from gensp.compute import Row, Task, run_items
 from gensp.runs import Run
+from gensp.sharing import Workers
 
 
 class ItemRows(IterableDataset[Row]):

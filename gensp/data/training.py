@@ -15,7 +15,7 @@ from lightning import LightningDataModule
 from torch import Tensor
 from torch.utils.data import DataLoader
 
-from gensp.compute import Workers, require_seen, shared_out
+from gensp.compute import require_seen
 from gensp.data.arrays import Content, TrainingArrays
 from gensp.data.batches import CorrespondenceDataset, EpochDataset, SdfDataset
 from gensp.data.items import ItemMeshes, names_of, training_items
@@ -29,6 +29,7 @@ from gensp.geometry.common_source import mean_of_blocks
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import icosphere_of
 from gensp.runs import Run
+from gensp.sharing import Workers, shared_out
 
 _AT_ONCE = 2**23  # numbers that a mean reads at once
 

@@ -7,12 +7,13 @@ from typing import Any, Self
 
 import numpy as np
 
-from gensp.compute import Row, Workers
+from gensp.compute import Row
 from gensp.files import load_npz, write_json
 from gensp.geometry.correspondence import Correspondence, propagate
 from gensp.geometry.spanning_tree import Tree
 from gensp.geometry.sphere import icosphere
 from gensp.runs import Run
+from gensp.sharing import Workers
 from gensp.stages.base import ItemStage, write_table
 from gensp.stages.images import image_metrics, lost_rows, mean_of, require_few, write_image
 from gensp.tasks.again import Rounds

@@ -7,7 +7,7 @@ from typing import Any, Self
 import numpy as np
 from jaxtyping import Float
 
-from gensp.compute import Row, Workers, run_items, stored_rows
+from gensp.compute import Row, run_items, stored_rows
 from gensp.data.shapes import SPHERE
 from gensp.files import save_npz, write_json
 from gensp.geometry.correspondence import carry, correspondence
@@ -21,6 +21,7 @@ from gensp.geometry.spanning_tree import Tree
 from gensp.geometry.sphere import icosphere
 from gensp.geometry.spherical_map import SphericalMap
 from gensp.runs import Run
+from gensp.sharing import Workers
 from gensp.stages.base import ItemStage, write_table
 from gensp.stages.images import image_metrics, lost_rows, mean_of, require_few, write_image
 from gensp.tasks.pairing import SHARED, RegisterPair

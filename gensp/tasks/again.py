@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 from jaxtyping import Float
 
-from gensp.compute import Row, Workers, run_items, stored_rows
+from gensp.compute import Row, run_items, stored_rows
 from gensp.errors import RegistrationFailed
 from gensp.files import load_npz, save_npz
 from gensp.geometry.common_source import low_rank, placed
@@ -18,6 +18,7 @@ from gensp.geometry.correspondence import Correspondence
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.registration import register
 from gensp.geometry.sphere import icosphere_of
+from gensp.sharing import Workers
 from gensp.tasks.correspond import RegisterEdge, judged
 
 SOURCES = "sources.npz"

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gensp.compute import Row, Workers, finished_row, run_items
+from gensp.compute import Row, finished_row, run_items
+from gensp.sharing import Workers
 from gensp.tasks.correspond import RegisterEdge, ShapeTree, edge_path
 
 Trial = tuple[str, str]  # a child and another parent for it

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 import torch
 
-from gensp.compute import Workers
 from gensp.data.batches import CorrespondenceDataset, EpochDataset, SdfDataset
 from gensp.data.clouds import SurfaceSampler, point_clouds, sphere_cloud
 from gensp.data.loading import epoch_loader
@@ -25,6 +24,7 @@ from gensp.data.training import Batching, CorrespondenceModule, SdfModule
 from gensp.errors import DamagedFile, OutputError
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.sphere import icosphere
+from gensp.sharing import Workers
 
 SAMPLER = SdfSampler(near=60, far=60, uniform=60)
 BATCHING = Batching(size=3, points=32, surface_points=20, cloud=64, draws=2, passes=2)

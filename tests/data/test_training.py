@@ -7,7 +7,6 @@ import pytest
 import torch
 from lightning import LightningModule, Trainer
 
-from gensp.compute import Workers
 from gensp.data.batches import CorrespondenceBatch, SdfBatch
 from gensp.data.loading import epoch_loader
 from gensp.data.sdf import SdfSampler
@@ -17,6 +16,7 @@ from gensp.files import save_npz, write_json
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.sphere import icosphere
 from gensp.runs import Run
+from gensp.sharing import Workers
 
 
 @pytest.fixture

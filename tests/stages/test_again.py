@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gensp.compute import Workers
 from gensp.data.items import item_path
 from gensp.errors import BadMesh
 from gensp.files import load_npz, save_npz
@@ -14,6 +13,7 @@ from gensp.geometry.distance import closest_point
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.registration import Acceptance, RegistrationSettings
 from gensp.geometry.sphere import icosphere
+from gensp.sharing import Workers
 from gensp.tasks.again import Rounds
 from gensp.tasks.correspond import LevelSets, RegisterEdge
 

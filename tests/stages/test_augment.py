@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from lightning import Trainer
 
-from gensp.compute import Workers, run_items
+from gensp.compute import run_items
 from gensp.data.items import Item, item_mesh, training_items
 from gensp.data.modules import ItemsModule
 from gensp.data.shapes import ShapeCollection
@@ -15,6 +15,7 @@ from gensp.geometry.distance import hausdorff
 from gensp.geometry.flow import StepSchedule, cmcf, flow_score
 from gensp.geometry.mesh import SPHERE_AREA, Mesh, normalize, require_genus_zero, save_mesh
 from gensp.geometry.sphere import icosphere
+from gensp.sharing import Workers
 from gensp.stages.augment import AugmentStage
 from gensp.tasks import augment
 from gensp.tasks.augment import AugmentTask, augment_items, augment_task

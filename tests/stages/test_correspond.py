@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from compare import different
 
-from gensp.compute import Workers, run_items
+from gensp.compute import run_items
 from gensp.data.items import item_path
 from gensp.errors import RegistrationFailed
 from gensp.files import load_npz, read_json, save_npz, write_json
@@ -15,6 +15,7 @@ from gensp.geometry.distance import closest_point
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.sphere import icosphere
 from gensp.runs import Run
+from gensp.sharing import Workers
 from gensp.stages.correspond import CorrespondStage
 from gensp.tasks.correspond import correspond_items, correspond_task
 from gensp.tasks.joining import joined_parents

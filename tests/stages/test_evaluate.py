@@ -10,7 +10,7 @@ import pytest
 from lightning import Trainer
 from scipy.spatial.transform import Rotation
 
-from gensp.compute import Workers, run_items
+from gensp.compute import run_items
 from gensp.data.ground_truth import GroundTruth, save_ground_truth
 from gensp.data.modules import ItemsModule
 from gensp.data.shapes import ShapeCollection
@@ -21,6 +21,7 @@ from gensp.geometry.points import SurfacePoints, sample_surface
 from gensp.geometry.sphere import icosphere
 from gensp.geometry.spherical_map import SphericalMap, save_map
 from gensp.runs import Run
+from gensp.sharing import Workers
 from gensp.stages.base import write_table
 from gensp.stages.evaluate import EvaluateStage
 from gensp.stages.summary import summarize, without_nan

@@ -6,13 +6,13 @@ import torch
 from lightning import Trainer, seed_everything
 from lightning.pytorch.callbacks import ModelCheckpoint
 
-from gensp.compute import Workers
 from gensp.data.sdf import SdfSampler
 from gensp.data.training import Batching, SdfModule
 from gensp.files import load_npz
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.sphere import icosphere
 from gensp.models import ImplicitField, PointNet2Encoder, load_model
+from gensp.sharing import Workers
 from gensp.stages.implicit import ImplicitStage, LevelSetSampling
 
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from gensp.compute import Workers, run_items
+from gensp.compute import run_items
 from gensp.data.items import item_path
 from gensp.errors import RegistrationFailed
 from gensp.files import load_npz, read_json, read_rows, save_npz
@@ -18,6 +18,7 @@ from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.sphere import icosphere, unit
 from gensp.models import Atlas
 from gensp.runs import Run
+from gensp.sharing import Workers
 from gensp.stages.pairing import PairedStage
 from gensp.tasks.pairing import SHARED, pairing_items, pairing_task
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from lightning import Trainer
 
-from gensp.compute import Workers, run_items, stored_rows
+from gensp.compute import run_items, stored_rows
 from gensp.data.modules import ItemsModule
 from gensp.data.shapes import ShapeCollection
 from gensp.errors import GenSPError, NotEmbeddable
@@ -15,6 +15,7 @@ from gensp.geometry.spherical_map import load_map
 from gensp.methods.cmcf import CMCF
 from gensp.methods.refinement import NewtonRefinement, NoRefinement
 from gensp.runs import Run
+from gensp.sharing import Workers
 from gensp.stages.parameterize import ParameterizeStage
 from gensp.tasks.parameterize import Parameterize, parameterize_items, parameterize_task
 
