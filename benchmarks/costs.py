@@ -26,24 +26,17 @@ from hydra import compose, initialize_config_dir
 from rich.console import Console
 
 from gensp.files import read_json, write_json
-from gensp.geometry import correspondence, neighbour_pairs
+from gensp.geometry import neighbour_pairs
+from gensp.geometry import spanning_tree as trees
 from gensp.geometry.neighbour_pairs import degree_norms, nearest_pairs
 from gensp.geometry.rotation_registration import density_signal, register_rotation
 from gensp.geometry.spanning_tree import spanning_tree
 from gensp.geometry.sphere import icosphere
 from gensp.pictures.curves import figure, save_figure
 from gensp.run import run
+from gensp.sweeps import ORDER
 
 ROOT = Path(__file__).parents[1]
-STAGES = (
-    "augment",
-    "implicit",
-    "correspond",
-    "initialize",
-    "finetune",
-    "parameterize",
-    "evaluate",
-)
 # As short as trainings can be; their cost is that of a step times their number.
 SHORT = (
     *("recipe.implicit.epochs=4", "recipe.implicit.regularize_from_epoch=2"),
@@ -65,7 +58,7 @@ def spent() -> float:
 def stage_rows(out: Path, count: int, vertices: int, name: str = "") -> list[Row]:
     """Cost of all stages on one collection."""
     name, rows = name or f"costs-{count}-{vertices}", []
-    for stage in STAGES:
+    for stage in ORDER:
         words = [
             *(f"stage={stage}", f"name={name}", f"paths.runs={out}", *SHORT),
             *(f"shapes.count={count}", f"shapes.vertices={vertices}", "shapes.test=2"),
@@ -117,7 +110,7 @@ def pairs(out: Path) -> None:
 
     for limit, counts in ((10**9, (500, 1000, 2000)), (0, (2000, 4000, 8000))):
         kind = "neighbours" if limit == 0 else "all pairs"
-        correspondence.ALL_PAIRS = neighbour_pairs.ALL_PAIRS = limit
+        trees.ALL_PAIRS = neighbour_pairs.ALL_PAIRS = limit
         for count in counts:
             codes = latent_codes(count)
             note(f"minimum tree, {kind}", count, partial(spanning_tree, codes, 0))
@@ -156,11 +149,11 @@ def series(rows: Sequence[Row], along: str, stage: str, what: str) -> list[tuple
 
 def stage_table(rows: Sequence[Row], along: str) -> list[str]:
     """A line for every stage: costs at all sizes, exponents, cost of one more."""
-    sizes = [size for size, _ in series(rows, along, STAGES[0], "seconds")]
+    sizes = [size for size, _ in series(rows, along, ORDER[0], "seconds")]
     heads = [f"{size} {along}" for size in sizes]
     lines = [f"| stage | {' | '.join(heads)} | exponent | each | exponent of bytes | bytes each |"]
     lines.append("|---|" + "---|" * (len(sizes) + 4))
-    for stage in STAGES:
+    for stage in ORDER:
         cells = []
         for what, form in (("seconds", ".3g"), ("bytes", ",.0f")):
             costs = [cost for _, cost in series(rows, along, stage, what)]
@@ -189,7 +182,7 @@ def draw(rows: Sequence[Row], pair_rows: Sequence[Row], path: Path) -> None:
     drawing = figure(14, 4.2)
     panels = drawing.subplots(1, 3)
     for panel, along in zip(panels, ("shapes", "vertices"), strict=False):
-        for stage in STAGES:
+        for stage in ORDER:
             points = zip(*series(rows, along, stage, "seconds"), strict=True)
             panel.loglog(*points, "o-", label=stage)
         panel.set(xlabel=along, ylabel="processor seconds")

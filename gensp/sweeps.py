@@ -13,13 +13,14 @@ from omegaconf import DictConfig, OmegaConf
 
 from gensp.errors import Unsupported
 
-# The first stage that a key changes; the stages before are shared.
-_ORDER = (
+# The stages, each after those that it reads.
+ORDER = (
     *("augment", "implicit", "correspond", "initialize", "finetune"),
     *("parameterize", "evaluate"),
 )
+# The first stage that a key changes; the stages before are shared.
 _FIRST = {
-    **{f"recipe.{stage}": stage for stage in _ORDER},
+    **{f"recipe.{stage}": stage for stage in ORDER},
     "seed": "augment",
     "recipe.cloud": "implicit",
     "recipe.draws": "implicit",
@@ -70,7 +71,7 @@ def suffix(cfg: DictConfig, stage: str) -> str:
                 f"swept: has '{key}'; keys of recipe.* with a value, or seed, are required; "
                 "leave it out, and give every value a name=NAME of its own"
             )
-        if stage in _ORDER and _ORDER.index(first) <= _ORDER.index(stage):
+        if stage in ORDER and ORDER.index(first) <= ORDER.index(stage):
             parts.append(f"+{str(key).removeprefix('recipe.')}-{_word(cfg, str(key))}")
     return "".join(parts)
 
@@ -100,4 +101,4 @@ def named(cfg: DictConfig, variant: str) -> DictConfig:
 
 def suffixes(cfg: DictConfig) -> dict[str, str]:
     """The same for all stages; empty without a sweep."""
-    return {stage: suffix(cfg, stage) for stage in _ORDER} if cfg.get("swept") else {}
+    return {stage: suffix(cfg, stage) for stage in ORDER} if cfg.get("swept") else {}
