@@ -26,10 +26,11 @@ def main(cfg: DictConfig) -> float | None:
     # Imported late: --help and misspelt words need none of it.
     from gensp.mistakes import one_line_errors
     from gensp.run import run
+    from gensp.stopping import one_line_stop
 
     job = HydraConfig.get()
     sweep = job.mode == RunMode.MULTIRUN
-    with one_line_errors(sweep=sweep):
+    with one_line_stop(), one_line_errors(sweep=sweep):
         return run(cfg, job.overrides.task, sweep=sweep)
 
 

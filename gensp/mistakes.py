@@ -67,7 +67,11 @@ def hydra_line(error: Exception) -> str:
         if isinstance(parent, DictConfig):
             return _misspelt(key, str(cause.key), parent)
     if isinstance(error, OverrideParseException):
-        return f"{error.override}: cannot be read; key=value or group=choice is required"
+        quotes = "; words within a list need quotes, as in \"pipeline=[['stage=augment']]\""
+        return (
+            f"{error.override}: cannot be read; key=value or group=choice is required"
+            f"{quotes if '[' in str(error.override) else ''}"
+        )
     said = str(error).splitlines()[0].rstrip(".")
     several = re.fullmatch(r"Ambiguous value for argument '(.*)'", said)
     if several:

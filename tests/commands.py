@@ -74,6 +74,27 @@ def kill_in_the_middle(folder: Path, *words: str) -> None:
         process.wait()
 
 
+def stop_in_the_middle(folder: Path, number: signal.Signals, *words: str) -> tuple[int, str]:
+    """Start a stage, send a signal once something of it is on the disk; exit code and stderr."""
+    process = subprocess.Popen(
+        command(*words),
+        cwd=ROOT,
+        env=environment(),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        until = time.monotonic() + 120
+        while not begun(folder) and process.poll() is None and time.monotonic() < until:
+            time.sleep(0.002)
+        process.send_signal(number)
+        _, said = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    return process.returncode, said
+
+
 def begun(folder: Path) -> bool:
     return (folder / "checkpoints" / "last.ckpt").is_file() or bool(finished_items(folder))
 

@@ -1,11 +1,20 @@
 """Kill -9 in the middle of every stage, run again: what is finished stays, the result is equal."""
 
 import shutil
+import signal
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import STAGES, begun, finished_items, kill_in_the_middle, run_here, smoke_words
+from commands import (
+    STAGES,
+    begun,
+    finished_items,
+    kill_in_the_middle,
+    run_here,
+    smoke_words,
+    stop_in_the_middle,
+)
 from compare import different
 
 from gensp.pictures.report import Page, write_report
@@ -28,6 +37,34 @@ def test_a_killed_stage_goes_on(stage: str, smoke: Path, smoke_copy: Path) -> No
     run_here(*words)
     assert kept.items() <= finished_items(folder).items()
     assert different(folder, smoke / "smoke" / "full" / stage) == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_stopped_stage_says_so_in_one_line_and_goes_on(
+    number: signal.Signals, smoke: Path, smoke_copy: Path
+) -> None:
+    folder = smoke_copy / "smoke" / "full" / "augment"
+    shutil.rmtree(folder)
+    words = (*smoke_words(smoke_copy), "stage=augment", "workers.jobs=1")
+    code, said = stop_in_the_middle(folder, number, *words)
+    assert (code, said) == (128 + number, _stopped_by(number))
+    assert not (folder / "manifest.json").exists()
+    run_here(*words)
+    assert different(folder, smoke / "smoke" / "full" / "augment") == []
+
+
+def test_a_training_is_stopped_in_one_line(smoke_copy: Path) -> None:
+    folder = smoke_copy / "smoke" / "full" / "implicit"
+    shutil.rmtree(folder)
+    long = ("stage=implicit", "recipe.implicit.epochs=5000", "callbacks.last.every_seconds=0")
+    code, said = stop_in_the_middle(folder, signal.SIGTERM, *smoke_words(smoke_copy), *long)
+    assert said.endswith(_stopped_by(signal.SIGTERM))
+    assert code == 128 + signal.SIGTERM
+    assert "Traceback" not in said
+
+
+def _stopped_by(number: signal.Signals) -> str:
+    return f"error: stopped by {number.name}; the same command goes on from here\n"
 
 
 @pytest.mark.parametrize("name", ["summary.md", "report.html"])

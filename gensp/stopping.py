@@ -1,0 +1,66 @@
+"""What `kill`, a time limit and Ctrl-C do to a command: it ends at once, in one line."""
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any, NoReturn
+
+from gensp.terminal import complain
+
+_DEFAULTS: dict[signal.Signals, Any] = {
+    signal.SIGTERM: signal.SIG_DFL,
+    signal.SIGINT: signal.default_int_handler,
+}
+_AGAIN = 0.1  # seconds until a signal that was lost is sent anew
+
+
+@contextmanager
+def one_line_stop() -> Iterator[None]:
+    """End on SIGTERM or SIGINT with one line and exit code 128 + signal, like a shell.
+
+    Lightning alone would note a SIGTERM and go on to the end of the items, and to the next stage;
+    it keeps a handler that it finds. Nothing is lost: items and checkpoints are written by rename.
+    A signal that is ignored (nohup), or handled by a launcher of jobs, stays so.
+    """
+    ours = [number for number, own in _DEFAULTS.items() if signal.getsignal(number) == own]
+    hook = sys.unraisablehook
+    stop = _Stop(hook)
+    sys.unraisablehook = stop.retried
+    for number in ours:
+        signal.signal(number, stop)
+    try:
+        yield
+    finally:
+        sys.unraisablehook = hook
+        stop.again.cancel()
+        for number in ours:
+            signal.signal(number, _DEFAULTS[number])
+
+
+class _Stop:
+    """The handler: says so once, raises SystemExit as often as it takes."""
+
+    def __init__(self, others: Callable[[Any], object]) -> None:
+        self.others, self.said = others, False
+        self.again = threading.Timer(_AGAIN, lambda: None)
+
+    def __call__(self, number: int, frame: FrameType | None) -> NoReturn:
+        if not self.said:
+            name = signal.Signals(number).name
+            complain(f"stopped by {name}; the same command goes on from here")
+        self.said = True
+        raise SystemExit(128 + number)
+
+    def retried(self, lost: Any) -> None:
+        """Python drops what is raised while it tidies up a generator: ask once more."""
+        if not isinstance(lost.exc_value, SystemExit):
+            self.others(lost)
+            return
+        number = int(lost.exc_value.code or 0) - 128
+        self.again = threading.Timer(_AGAIN, os.kill, (os.getpid(), number))
+        self.again.daemon = True
+        self.again.start()

@@ -1,0 +1,77 @@
+"""Signals end a command in one line; what is not the default stays."""
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from gensp.stopping import one_line_stop
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_the_block_in_one_line(
+    number: signal.Signals, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = signal.getsignal(number)
+    with pytest.raises(SystemExit) as ended, one_line_stop():
+        _sent(number)
+    assert ended.value.code == 128 + number
+    said = f"error: stopped by {number.name}; the same command goes on from here\n"
+    assert capsys.readouterr().err == said
+    assert signal.getsignal(number) is before
+
+
+def test_a_signal_that_python_drops_is_asked_for_again(capsys: pytest.CaptureFixture[str]) -> None:
+    def tidied() -> Iterator[None]:
+        try:
+            yield
+        finally:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(0.01)
+
+    def lose() -> None:
+        generator = tidied()
+        next(generator)
+        del generator  # its ending raises, and nobody is there to catch it
+        time.sleep(5)
+
+    with pytest.raises(SystemExit), one_line_stop():
+        lose()
+    assert capsys.readouterr().err.count("stopped by") == 1
+
+
+def test_a_signal_that_is_ignored_or_handled_stays_so() -> None:
+    before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    try:
+        with one_line_stop():
+            assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
+            os.kill(os.getpid(), signal.SIGTERM)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def test_other_exceptions_that_python_drops_are_told_as_ever() -> None:
+    told: list[object] = []
+    before, sys.unraisablehook = sys.unraisablehook, told.append
+    try:
+        with one_line_stop():
+            _drop(ValueError("a word"))
+    finally:
+        sys.unraisablehook = before
+    assert len(told) == 1
+
+
+def _sent(number: signal.Signals) -> None:
+    os.kill(os.getpid(), number)
+    time.sleep(5)
+
+
+def _drop(error: Exception) -> None:
+    class Ending:
+        def __del__(self) -> None:
+            raise error
+
+    Ending()
