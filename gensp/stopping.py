@@ -34,6 +34,11 @@ def one_line_stop() -> Iterator[None]:
         signal.signal(number, stop)
     try:
         yield
+    except SystemExit:
+        # Lightning's own, without a code, where Python dropped ours.
+        if stop.number:
+            raise SystemExit(128 + stop.number) from None
+        raise
     finally:
         sys.unraisablehook = hook
         stop.again.cancel()
@@ -45,22 +50,21 @@ class _Stop:
     """The handler: says so once, raises SystemExit as often as it takes."""
 
     def __init__(self, others: Callable[[Any], object]) -> None:
-        self.others, self.said = others, False
+        self.others, self.number = others, 0
         self.again = threading.Timer(_AGAIN, lambda: None)
 
     def __call__(self, number: int, frame: FrameType | None) -> NoReturn:
-        if not self.said:
+        if not self.number:
             name = signal.Signals(number).name
             complain(f"stopped by {name}; the same command goes on from here")
-        self.said = True
+        self.number = number
         raise SystemExit(128 + number)
 
     def retried(self, lost: Any) -> None:
         """Python drops what is raised while it tidies up a generator: ask once more."""
-        if not isinstance(lost.exc_value, SystemExit):
+        if not (self.number and isinstance(lost.exc_value, SystemExit)):
             self.others(lost)
             return
-        number = int(lost.exc_value.code or 0) - 128
-        self.again = threading.Timer(_AGAIN, os.kill, (os.getpid(), number))
+        self.again = threading.Timer(_AGAIN, os.kill, (os.getpid(), self.number))
         self.again.daemon = True
         self.again.start()
