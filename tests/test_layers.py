@@ -32,13 +32,14 @@ ALLOWED = {
     "tables": CORE,
     "pictures": CORE | {"geometry", "tables"},
 }
+ALLOWED["progress"] = CORE | {"runs", "checksums"}
 ALLOWED["clusters"] = CORE | {"sharing"}
 ALLOWED["job_arrays"] = CORE | {"sharing", "clusters"}
 ALLOWED["ranks"] = CORE
 ALLOWED["benchmark"] = CORE | {"tables"}
 ALLOWED["comparison"] = CORE | {"tables", "benchmark", "pictures"}
 ALLOWED["card"] = CORE | {"data", "geometry", "pictures", "tables"}
-ALLOWED["catalogue"] = CORE | {"runs", "tables"}
+ALLOWED["catalogue"] = CORE | {"checksums", "tables"}
 ALLOWED["data.modules"] = ALLOWED["data"] | {"runs", "data"}
 ALLOWED["data.training"] = ALLOWED["data"] | {"runs", "data", "data.modules"}
 ALLOWED["tasks"] = set(ALLOWED) - {"data.modules", "data.training"}
@@ -47,7 +48,7 @@ ALLOWED["mistakes"] = CORE | {"terminal"}
 ALLOWED["sweeps"] = CORE
 ALLOWED["configuration"] = CORE | {"runs", "sweeps"}
 ALLOWED["stages"] = set(ALLOWED) - {"mistakes", "configuration"}
-ALLOWED["execution"] = CORE | {"configuration", "machine", "runs", "stages"}
+ALLOWED["execution"] = CORE | {"configuration", "machine", "progress", "runs", "stages"}
 ALLOWED["run"] = set(ALLOWED)
 # For one mesh: beside the stages, neither imports the other.
 ALLOWED["api"] = CORE | {"geometry", "methods", "pretrained"}
