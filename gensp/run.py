@@ -125,8 +125,9 @@ def _bring_to_end(
             return Run(place).headline
         optional = {use: runs.find(use) for use in cfg.stage.get("optional", ())}
         read = inputs | {use: run for use, run in optional.items() if run is not None}
-        for stage, run in read.items():
-            require_intact(run.folder, run.files(), stage)
+        if first_process():  # the others wait in `gather`
+            for stage, run in read.items():
+                require_intact(run.folder, run.files(), stage)
         # Imported late: what is wrong before is told without waiting for torch.
         from gensp.execution import execute
 
