@@ -16,13 +16,14 @@ CORE = {"errors", "files"}
 ALLOWED = {
     "errors": set(),
     "files": {"errors"},
+    "layout": {"errors", "files"},
     "compiled": set(),
     "geometry": CORE | {"compiled"},
     "models": CORE | {"geometry"},
     "losses": CORE | {"geometry"},
     "sharing": CORE,
-    "compute": CORE | {"sharing"},
-    "data": CORE | {"geometry", "compute", "sharing", "checksums"},
+    "compute": CORE | {"layout", "sharing"},
+    "data": CORE | {"layout", "geometry", "compute", "sharing", "checksums"},
     "methods": CORE | {"geometry", "models", "data.clouds"},
     "pretrained": CORE | {"geometry", "methods", "models"},
     "machine": set(),
@@ -30,7 +31,7 @@ ALLOWED = {
     "runs": CORE | {"machine", "checksums"},
     "occupancy": CORE | {"machine"},
     "tables": CORE,
-    "pictures": CORE | {"geometry", "tables"},
+    "pictures": CORE | {"layout", "geometry", "tables"},
 }
 ALLOWED["progress"] = CORE | {"runs", "checksums"}
 ALLOWED["clusters"] = CORE | {"sharing"}
