@@ -15,19 +15,29 @@ from gensp.geometry.levelset import implicit_deformation_ratio
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.reduced import Cover
 
+CLAMP = 0.1  # lengths of the unit sphere; DeepSDF's
+
 
 def sdf_loss(
-    predicted: Float[Tensor, "b n"], distance: Float[Tensor, "b n"], norm: str = "l2"
+    predicted: Float[Tensor, "b n"],
+    distance: Float[Tensor, "b n"],
+    norm: str = "l2",
+    tolerance: float = 0.0,
 ) -> Float[Tensor, ""]:
     """Eq. 3: deviation of the implicit field from signed distances.
 
     Parameters
     ----------
     norm
-        `l2`, the paper's square, or `l1`, which fits thin limbs sooner.
+        `l2`, the paper's square; `l1`, which fits thin limbs sooner; `clamped`: l1 of distances
+        that end at `CLAMP` (Park et al. 2019, Eq. 4).
+    tolerance
+        Deviations up to this length are none (Duan et al. 2020, Eq. 4).
     """
-    deviation = predicted - distance
-    return deviation.abs().mean() if norm == "l1" else deviation.square().mean()
+    if norm == "clamped":
+        predicted, distance = predicted.clamp(-CLAMP, CLAMP), distance.clamp(-CLAMP, CLAMP)
+    deviation = ((predicted - distance).abs() - tolerance).clamp(min=0)
+    return deviation.square().mean() if norm == "l2" else deviation.mean()
 
 
 def encoder_penalty(*values: Float[Tensor, "..."]) -> Float[Tensor, ""]:

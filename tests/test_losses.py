@@ -24,9 +24,13 @@ def test_sdf_loss_of_known_deviations() -> None:
     predicted, distance = torch.tensor([[1.0, -2.0]]), torch.tensor([[0.5, -4.0]])
     assert losses.sdf_loss(predicted, distance).item() == pytest.approx((0.25 + 4) / 2)
     assert losses.sdf_loss(predicted, distance, "l1").item() == pytest.approx(1.25)
+    assert losses.sdf_loss(predicted, distance, "l1", 0.6).item() == pytest.approx((0 + 1.4) / 2)
+    assert losses.sdf_loss(predicted, distance, "clamped").item() == 0
+    near = torch.tensor([[0.05, -2.0]]), torch.tensor([[-0.02, 3.0]])
+    assert losses.sdf_loss(*near, "clamped").item() == pytest.approx((0.07 + 0.2) / 2)
 
 
-@pytest.mark.parametrize("norm", ["l1", "l2"])
+@pytest.mark.parametrize("norm", ["l1", "l2", "clamped"])
 def test_sdf_loss_gradient(norm: str) -> None:
     assert gradcheck(lambda p: losses.sdf_loss(p, torch.zeros_like(p), norm), double(2, 3))
 

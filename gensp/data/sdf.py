@@ -13,7 +13,10 @@ from gensp.geometry.distance import signed_distance
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.points import sample_surface
 from gensp.geometry.sphere import sample_sphere
+from gensp.geometry.thickness import inner_radii
 from gensp.layout import keyed_path
+
+_DENSEST = 10.0
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,9 @@ class SdfSampler:
         The same at a larger distance.
     uniform
         Uniform samples of the cube [-bound, bound]³.
+    thinness
+        Points of the surface are drawn with density (R/r)^thinness, where r is the radius of the
+        largest ball that touches it there from inside, and R its median; 0: uniformly.
     """
 
     near: int = 1500
@@ -43,15 +49,24 @@ class SdfSampler:
     far: int = 1500
     far_deviation: float = 0.1
     uniform: int = 1500
+    thinness: float = 0.0
     seed: int = 0
 
     def __call__(self, mesh: Mesh, bound: float) -> SdfSamples:
         """Sample a mesh; the draw depends on its content alone."""
         generator = np.random.default_rng(int(self.key(mesh, bound), 16))
-        on_surface = sample_surface(mesh.face_areas, self.near + self.far, generator)
+        on_surface = sample_surface(self._weights(mesh), self.near + self.far, generator)
         points = self._around(on_surface.on(mesh.vertices, mesh.faces), bound, generator)
         distances = signed_distance(points.astype(np.float64), mesh)
         return SdfSamples(points, distances.astype(np.float32))
+
+    def _weights(self, mesh: Mesh) -> Float[np.ndarray, " m"]:
+        if not self.thinness:
+            return mesh.face_areas
+        radii = inner_radii(mesh)[mesh.faces].mean(axis=1)
+        # Creases have balls as small as their triangles: no place takes all samples.
+        relative = np.clip(np.median(radii) / radii, 1 / _DENSEST, _DENSEST)
+        return mesh.face_areas * relative**self.thinness
 
     def of_sphere(self, bound: float) -> SdfSamples:
         """The same of S_0, with its exact distance |x| - 1."""

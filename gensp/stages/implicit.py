@@ -63,7 +63,9 @@ class ImplicitStage(FitStage):
     Parameters
     ----------
     norm
-        Of Eq. 3, `l2` or `l1`.
+        Of Eq. 3, `l2`, `l1` or `clamped`.
+    tolerance
+        Of Eq. 3 at first; it falls evenly to 0 at half of the epochs, from coarse to fine.
     encoder_weight, penalize
         λ, and what Eq. 4 is taken of: `latents` or the encoder's `weights`.
     origin_weight
@@ -82,6 +84,7 @@ class ImplicitStage(FitStage):
         encoder: PointNet2Encoder,
         field: ImplicitField,
         norm: str,
+        tolerance: float,
         encoder_weight: float,
         penalize: str,
         origin_weight: float,
@@ -95,7 +98,7 @@ class ImplicitStage(FitStage):
     ) -> None:
         super().__init__(learning_rate=learning_rate, seed=seed, folder=folder)
         self.encoder, self.field = encoder, field
-        self.norm, self.penalize = norm, penalize
+        self.norm, self.tolerance, self.penalize = norm, tolerance, penalize
         self.encoder_weight, self.origin_weight = encoder_weight, origin_weight
         self.deformation_weight = deformation_weight
         self.geometric_regularization = geometric_regularization
@@ -116,7 +119,8 @@ class ImplicitStage(FitStage):
         self.table.update(batch.ids, codes, self.total)
         counted, mine = codes[batch.first :], slice(batch.first, None)
         predicted = self.fast(self.field)(counted, batch.points[mine])
-        data = batch.weight * sdf_loss(predicted, batch.distances[mine], self.norm)
+        bound = self._tolerance()
+        data = batch.weight * sdf_loss(predicted, batch.distances[mine], self.norm, bound)
         latents = (
             batch.weight * encoder_penalty(counted)
             if self.penalize == "latents"
@@ -134,6 +138,10 @@ class ImplicitStage(FitStage):
                 loss = loss + self.micro_batches * self.deformation_weight * deformation
                 self.log_losses(deformation=deformation)
         return loss
+
+    def _tolerance(self) -> float:
+        done = 2 * self.current_epoch / (self.trainer.max_epochs or 1)
+        return self.tolerance * max(0.0, 1 - done)
 
     def _weights(self) -> Tensor:
         return torch.cat([weight.flatten() for weight in self.encoder.parameters()])

@@ -109,3 +109,14 @@ def test_other_settings_have_another_place(tmp_path: Path, bumpy: Mesh) -> None:
     cached_samples(bumpy, SAMPLER, 1.6, tmp_path)
     cached_samples(bumpy, SdfSampler(near=201, far=200, uniform=200), 1.5, tmp_path)
     assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_thin_places_are_sampled_more_densely_where_asked(dumbbell: Mesh) -> None:
+    def share_at_neck(thinness: float) -> float:
+        sampler = SdfSampler(near=4000, near_deviation=0.0, far=0, uniform=0, thinness=thinness)
+        return float((np.abs(sampler(dumbbell, 1.5).points[:, 0]) < 0.3).mean())
+
+    centres = dumbbell.vertices[dumbbell.faces].mean(axis=1)
+    neck = dumbbell.face_areas[np.abs(centres[:, 0]) < 0.3].sum() / dumbbell.area
+    assert share_at_neck(0.0) == pytest.approx(neck, abs=0.02)
+    assert share_at_neck(1.0) > 1.5 * neck

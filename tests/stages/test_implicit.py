@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from lightning import Trainer, seed_everything
+from lightning import Callback, Trainer, seed_everything
 from lightning.pytorch.callbacks import ModelCheckpoint
 
 from gensp.data.sdf import SdfSampler
@@ -41,6 +41,7 @@ def implicit_stage(folder: Path, **changes: object) -> ImplicitStage:
         "encoder": PointNet2Encoder(8, width=8, groups=((32, 8), (8, 4))),
         "field": ImplicitField(8, width=32, depth=3, inject=(2,)),
         "norm": "l1",
+        "tolerance": 0.0,
         "encoder_weight": 1e-3,
         "penalize": "latents",
         "origin_weight": 0.1,
@@ -144,3 +145,15 @@ def test_level_set_that_does_not_exist_yet_is_left_out(
     stage.finish()
     assert "warning" in (said := capsys.readouterr().out)
     assert "never took part" in " ".join(said.split())
+
+
+def test_tolerance_falls_to_zero_at_half_of_the_epochs(tmp_path: Path) -> None:
+    stage = implicit_stage(tmp_path, tolerance=0.02)
+    seen = []
+
+    class Noted(Callback):
+        def on_train_epoch_start(self, trainer: Trainer, stage: ImplicitStage) -> None:
+            seen.append(stage._tolerance())
+
+    fit(stage, sdf_module(tmp_path), 4, callbacks=[Noted()])
+    assert seen == pytest.approx([0.02, 0.01, 0, 0])
