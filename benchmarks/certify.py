@@ -17,6 +17,7 @@ from gensp.files import atomic_path
 from gensp.geometry.mesh import FORMATS, load_mesh, require_genus_zero
 from gensp.geometry.sphere import icosphere
 from gensp.geometry.spherical_map import load_map
+from gensp.layout import item_folder
 from gensp.methods.table import DEFAULT, per_shape
 
 Row = dict[str, object]
@@ -32,7 +33,7 @@ def line(path: Path, method: str, maps: Path | None) -> Row:
         return row | {"unusable": str(error)}
     start = time.process_time()
     try:
-        map = per_shape(method)(mesh) if maps is None else load_map(maps / f"{path.stem}.npz")
+        map = per_shape(method)(mesh) if maps is None else load_map(_kept(maps, path.stem))
     except GenSPError as error:
         return row | {"vertices": len(mesh.vertices), "failed": str(error)}
     distortion = map.distortion()
@@ -43,6 +44,10 @@ def line(path: Path, method: str, maps: Path | None) -> Row:
         "sigma_mean": round(distortion.mean, 4),
         "sigma_max": round(distortion.max, 3),
     }
+
+
+def _kept(maps: Path, id: str) -> Path:
+    return item_folder(maps.parent, maps.name, id) / f"{id}.npz"
 
 
 def growth(rows: list[Row]) -> str:

@@ -27,6 +27,7 @@ sys.path.append(str(ROOT / "tests"))
 from commands import STAGES
 from compare import different, results
 
+from gensp.layout import item_files
 from gensp.runs import CHECKPOINT, MANIFEST, Run
 
 _SAY = Console(stderr=True)
@@ -90,7 +91,7 @@ class Study:
     def _found(self, folder: Path) -> str:
         if (folder / MANIFEST).is_file():
             return "finished"
-        rows = len(list(folder.glob("rows/[!.]*.json")))
+        rows = len(item_files(folder, "rows", ".json"))
         if rows:
             return f"{rows} items"
         if (folder / CHECKPOINT).is_file():

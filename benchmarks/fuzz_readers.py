@@ -14,6 +14,7 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from layouts import write_dfaust, write_keypointnet, write_shapenet
 
 from gensp.catalogue import find_runs, listed
+from gensp.checksums import FILES
 from gensp.cli.inputs import read_map
 from gensp.cli.transfer import _read as read_attribute
 from gensp.compute import finished_row, row_path
@@ -38,7 +39,8 @@ from gensp.models.generator import DirectGenerator
 from gensp.models.store import load_model, save_model
 from gensp.pretrained import FITS
 from gensp.pretrained.ship import entry_of
-from gensp.runs import begin, restart, seal
+from gensp.progress import begin, restart
+from gensp.runs import Run, seal
 from gensp.stages.callbacks import WholeCheckpoints
 
 BALL = icosphere(1)
@@ -212,6 +214,11 @@ def _run(path: Path) -> None:
     listed(find_runs(path.parent.parent))
 
 
+def _list_files(folder: Path) -> list[Path]:
+    run = _run_files(folder)[0].parent
+    return [run / FILES, run / "manifest.json"]
+
+
 def _row_files(folder: Path) -> list[Path]:
     write_json(row_path(folder, "a"), {"id": "a", "seconds": 1.0})
     return [row_path(folder, "a")]
@@ -256,6 +263,7 @@ READERS = (
     Reader("model pt", _model_files, load_model),
     Reader("checkpoint", _checkpoint_files, WholeCheckpoints().load_checkpoint),
     Reader("run json", _run_files, _run),
+    Reader("run files csv", _list_files, lambda path: Run(path.parent).outputs),
     Reader("run config yaml", _config_files, read_yaml),
     Reader("shipped model", _config_files, lambda path: entry_of(path.parent)),
     Reader("row json", _row_files, lambda path: finished_row(path.parent.parent, "a")),

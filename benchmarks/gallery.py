@@ -27,6 +27,7 @@ from gensp.geometry.spherical_map import SphericalMap, load_map
 from gensp.pictures.montage import Tile, rows_of
 from gensp.pictures.render import Scene, look
 from gensp.pictures.sheets import textured_sphere
+from gensp.tasks.evaluate import map_path
 
 WORST = 0.15  # of √area: errors from here on are painted alike
 PLAIN, WRONG = np.array([0.93, 0.93, 0.9]), np.array([0.75, 0.05, 0.05])
@@ -39,8 +40,8 @@ def read(methods: Sequence[str], ids: Sequence[str]) -> Methods:
     found = {}
     for word in methods:
         name, folder = word.split("=", 1)
-        maps = Path(folder) / "parameterize" / "maps"
-        found[name] = {id: load_map(maps / f"{id}.npz") for id in ids}
+        maps = Path(folder) / "parameterize"
+        found[name] = {id: load_map(map_path(maps, id)) for id in ids}
     return found
 
 

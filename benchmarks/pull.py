@@ -19,7 +19,7 @@ import numpy as np
 
 from gensp.data.ground_truth import common_points
 from gensp.data.shapes import ShapeCollection
-from gensp.files import atomic_path, load_npz
+from gensp.files import atomic_path
 from gensp.geometry.consistency import GeneratedShape, correspondence_error, prediction_error
 from gensp.geometry.distance import closest_point
 from gensp.geometry.mesh import normalize
@@ -28,7 +28,7 @@ from gensp.geometry.refine import reliability
 from gensp.geometry.spherical_map import SphericalMap
 from gensp.methods.refinement import CertifiedRefinement
 from gensp.pictures.curves import figure, save_figure
-from gensp.tasks.evaluate import predicted_surface
+from gensp.tasks.evaluate import predicted_surface, prediction
 
 GAMMAS = (1.0, 10.0, 30.0, 100.0, 300.0)
 Pair = tuple[str, str, SurfacePoints, SurfacePoints]
@@ -40,9 +40,9 @@ def maps(run: Path, collection: ShapeCollection, gamma: float) -> dict[str, Sphe
     refine = CertifiedRefinement(pull=gamma)
     found = {}
     for id in collection.ids():
-        path = run / "predictions" / f"{id}.npz"
-        if path.is_file():
-            arrays, mesh = load_npz(path), normalize(collection.mesh(id))
+        arrays = prediction(run, id)
+        if arrays:
+            mesh = normalize(collection.mesh(id))
             start, surface = arrays["predicted"], predicted_surface(run, id, "fitted")
             away = closest_point(mesh.vertices, surface).distance
             found[id] = refine(mesh, start, start, reliability(start, mesh.faces, away))

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gensp.checksums import MANIFEST, totals
 from gensp.errors import DamagedFile, MissingData, Unsupported
 from gensp.files import read_json, write_text
-from gensp.runs import MANIFEST
 from gensp.tables import markdown_table
 
 # A stage's folder is at most this deep below the folder that is asked about.
@@ -60,9 +60,14 @@ class Entry:
         return flat(self.manifest["settings"])
 
     @property
+    def files(self) -> int:
+        """How many files the stage left."""
+        return totals(self.folder, self.manifest["files"])[0]
+
+    @property
     def size(self) -> int:
-        """Bytes of all files of the stage."""
-        return sum(int(entry["bytes"]) for entry in self.manifest["files"].values())
+        """Bytes of all of them."""
+        return totals(self.folder, self.manifest["files"])[1]
 
 
 def flat(node: Any, key: str = "") -> dict[str, Any]:

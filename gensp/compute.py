@@ -1,7 +1,8 @@
 """Work on many shapes: one item, one process, one thread, one row.
 
 Every item leaves `rows/<item>.json` behind when all its other files are in place, so a run that
-was killed goes on with what is missing, and a worker that dies takes nothing with it.
+was killed goes on with what is missing, and a worker that dies takes nothing with it. Rows of
+many items lie in many folders, see `gensp.layout`.
 """
 
 import os
@@ -16,6 +17,7 @@ from urllib.parse import quote
 
 from gensp.errors import DamagedFile, GenSPError, OutputError
 from gensp.files import read_json, write_json
+from gensp.layout import item_files, item_folder, lay_out
 from gensp.sharing import ATTEMPTS, Workers, shared_out
 
 Row = dict[str, str | int | float | bool | None]
@@ -26,13 +28,12 @@ _PATIENCE = 90  # seconds after which a file of another machine is seen, with NF
 
 def row_path(folder: Path, item: str) -> Path:
     """Where the row of an item is kept; characters that file names lack are quoted."""
-    return folder / "rows" / f"{quote(item, safe='@+=, ')}.json"
+    return item_folder(folder, "rows", item) / f"{quote(item, safe='@+=, ')}.json"
 
 
 def stored_rows(folder: Path) -> list[Row]:
     """All rows below a folder, ordered by their item's name."""
-    # Names with a dot in front are halves that a killed run left.
-    return [read_json(path) for path in sorted((folder / "rows").glob("[!.]*.json"))]
+    return [read_json(path) for path in item_files(folder, "rows", ".json")]
 
 
 def stored_row(folder: Path, item: str) -> Row | None:
@@ -71,6 +72,7 @@ def run_items(
     GenSPError
         Workers write into another folder than this one, or die without having done anything.
     """
+    lay_out(folder, len(items))
     rows = {item: finished_row(folder, item) for item in items}
     yield from (row for row in rows.values() if row is not None)
     waiting = [item for item, row in rows.items() if row is None]

@@ -12,9 +12,10 @@ from omegaconf import DictConfig, OmegaConf
 from gensp.configuration import made, placed
 from gensp.files import write_text
 from gensp.machine import first_process, forget_peak_memory
-from gensp.runs import Progress, Run, begin
+from gensp.progress import Progress, begin
+from gensp.runs import Run
 from gensp.stages.callbacks import WholeCheckpoints
-from gensp.stages.session import carry_out, close, conclude, environments, quiet, threads
+from gensp.stages.session import carry_out, close, conclude, environments, gather, quiet, threads
 from gensp.stages.speed import require_fast
 
 
@@ -39,6 +40,8 @@ def execute(
     quiet()
     seed_everything(cfg.seed, workers=True, verbose=False)
     torch.set_num_threads(cfg.threads or threads())
+    trainer = _trainer(cfg, folder)
+    gather(trainer)
     ours, own = placed(cfg), folder.absolute()
     read = {name: Run(run.folder.absolute()) for name, run in inputs.items()}
     data = made(ours.data, inputs=read, folder=own)
@@ -46,9 +49,8 @@ def execute(
     module.compiled = cfg.compile
     # After the inputs have proved good: a mistyped folder leaves no trace.
     _begin(cfg, folder, settings, state)
-    loggers = [made(node, save_dir=str(folder)) for node in (cfg.logger or {}).values()]
-    trainer = _trainer(cfg, folder, loggers)
-    for logger in loggers:
+    trainer.loggers = [made(node, save_dir=str(folder)) for node in (cfg.logger or {}).values()]
+    for logger in trainer.loggers:
         logger.log_hyperparams(OmegaConf.to_container(cfg, resolve=True))
     resumed = state is Progress.SOME
     try:
@@ -59,7 +61,7 @@ def execute(
             trainer, module, settings=settings, inputs=inputs, began=began, resumed=resumed
         )
     finally:
-        close(loggers)
+        close(trainer.loggers)
 
 
 def _begin(cfg: DictConfig, folder: Path, settings: Mapping[str, Any], state: Progress) -> None:
@@ -68,12 +70,13 @@ def _begin(cfg: DictConfig, folder: Path, settings: Mapping[str, Any], state: Pr
         write_text(folder / "config.yaml", OmegaConf.to_yaml(cfg, resolve=True))
 
 
-def _trainer(cfg: DictConfig, folder: Path, loggers: list[Any]) -> Trainer:
+def _trainer(cfg: DictConfig, folder: Path) -> Trainer:
+    """Without loggers, which make folders."""
     callbacks = [made(node) for node in (cfg.callbacks or {}).values()]
     return made(
         cfg.trainer,
         callbacks=callbacks,
-        logger=loggers or False,
+        logger=False,
         default_root_dir=str(folder),
         plugins=[WholeCheckpoints(), *environments()],
     )

@@ -16,8 +16,9 @@ from gensp.data.raw import require_apart, require_rule
 from gensp.errors import OutputError
 from gensp.machine import first_process
 from gensp.occupancy import occupied
+from gensp.progress import Progress, clear, require_own, restart, tidy
 from gensp.ranks import require_startable
-from gensp.runs import Progress, Run, Runs, clear, require_own, restart, tidy
+from gensp.runs import Run, Runs
 from gensp.sweeps import named
 from gensp.terminal import announce, say, show_methods, show_variants
 
@@ -124,8 +125,9 @@ def _bring_to_end(
             return Run(place).headline
         optional = {use: runs.find(use) for use in cfg.stage.get("optional", ())}
         read = inputs | {use: run for use, run in optional.items() if run is not None}
-        for stage, run in read.items():
-            require_intact(run.folder, run.manifest["files"], stage)
+        if first_process():  # the others wait in `gather`
+            for stage, run in read.items():
+                require_intact(run.folder, run.files(), stage)
         # Imported late: what is wrong before is told without waiting for torch.
         from gensp.execution import execute
 

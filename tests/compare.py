@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-_NO_RESULTS = {"manifest.json", "config.yaml", "settings.json"}
+_NO_RESULTS = {"manifest.json", "files.csv", "config.yaml", "settings.json"}
 _NO_RESULT_FOLDERS = {"logs", "checkpoints"}
 
 

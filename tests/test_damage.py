@@ -12,14 +12,14 @@ import torch
 from commands import run_here, smoke_words
 from compare import different
 
-from gensp.checksums import require_intact
+from gensp.checksums import listing, require_intact
 from gensp.compute import Row, row_path, run_items, stored_rows
 from gensp.data.shapes import ShapeCollection
 from gensp.errors import DamagedFile, RunInUse, TrainingDiverged
 from gensp.files import load_npz, read_json, read_rows, save_npz
 from gensp.geometry.mesh import Mesh, save_mesh
 from gensp.occupancy import occupied
-from gensp.runs import begin, clear, listing, restart
+from gensp.progress import begin, clear, restart
 from gensp.sharing import Workers
 from gensp.stages.base import FitStage
 from gensp.stages.callbacks import WholeCheckpoints
@@ -28,6 +28,7 @@ HOLDER = """
 import sys, time
 from pathlib import Path
 from gensp.occupancy import occupied
+from gensp.progress import begin, clear, restart
 with occupied(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(60)
@@ -180,7 +181,7 @@ def test_a_damaged_record_of_a_run_is_told(tmp_path: Path, text: str) -> None:
 
 def test_a_missing_result_is_told(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("abc")
-    files = listing(tmp_path)
+    files = list(listing(tmp_path))
     require_intact(tmp_path, files, "augment")
     (tmp_path / "a.txt").unlink()
     with pytest.raises(DamagedFile, match=r"a\.txt: is missing.*stage=augment force=true"):

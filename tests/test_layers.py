@@ -16,13 +16,14 @@ CORE = {"errors", "files"}
 ALLOWED = {
     "errors": set(),
     "files": {"errors"},
+    "layout": {"errors", "files"},
     "compiled": set(),
     "geometry": CORE | {"compiled"},
     "models": CORE | {"geometry"},
     "losses": CORE | {"geometry"},
     "sharing": CORE,
-    "compute": CORE | {"sharing"},
-    "data": CORE | {"geometry", "compute", "sharing", "checksums"},
+    "compute": CORE | {"layout", "sharing"},
+    "data": CORE | {"layout", "geometry", "compute", "sharing", "checksums"},
     "methods": CORE | {"geometry", "models", "data.clouds"},
     "pretrained": CORE | {"geometry", "methods", "models"},
     "machine": set(),
@@ -30,15 +31,16 @@ ALLOWED = {
     "runs": CORE | {"machine", "checksums"},
     "occupancy": CORE | {"machine"},
     "tables": CORE,
-    "pictures": CORE | {"geometry", "tables"},
+    "pictures": CORE | {"layout", "geometry", "tables"},
 }
+ALLOWED["progress"] = CORE | {"runs", "checksums"}
 ALLOWED["clusters"] = CORE | {"sharing"}
 ALLOWED["job_arrays"] = CORE | {"sharing", "clusters"}
 ALLOWED["ranks"] = CORE
 ALLOWED["benchmark"] = CORE | {"tables"}
 ALLOWED["comparison"] = CORE | {"tables", "benchmark", "pictures"}
 ALLOWED["card"] = CORE | {"data", "geometry", "pictures", "tables"}
-ALLOWED["catalogue"] = CORE | {"runs", "tables"}
+ALLOWED["catalogue"] = CORE | {"checksums", "tables"}
 ALLOWED["data.modules"] = ALLOWED["data"] | {"runs", "data"}
 ALLOWED["data.training"] = ALLOWED["data"] | {"runs", "data", "data.modules"}
 ALLOWED["tasks"] = set(ALLOWED) - {"data.modules", "data.training"}
@@ -47,7 +49,7 @@ ALLOWED["mistakes"] = CORE | {"terminal"}
 ALLOWED["sweeps"] = CORE
 ALLOWED["configuration"] = CORE | {"runs", "sweeps"}
 ALLOWED["stages"] = set(ALLOWED) - {"mistakes", "configuration"}
-ALLOWED["execution"] = CORE | {"configuration", "machine", "runs", "stages"}
+ALLOWED["execution"] = CORE | {"configuration", "machine", "progress", "runs", "stages"}
 ALLOWED["run"] = set(ALLOWED)
 # For one mesh: beside the stages, neither imports the other.
 ALLOWED["api"] = CORE | {"geometry", "methods", "pretrained"}

@@ -5,21 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from gensp.checksums import listing
+from gensp.checksums import FILES, listing
 from gensp.errors import MissingStage, OutputError, StaleRun
 from gensp.files import write_json
-from gensp.runs import (
-    CHECKPOINT,
-    MANIFEST,
-    Progress,
-    Run,
-    Runs,
-    begin,
-    clear,
-    differences,
-    restart,
-    seal,
-)
+from gensp.progress import Progress, begin, clear, differences, restart
+from gensp.runs import CHECKPOINT, MANIFEST, Run, Runs, seal
 
 SETTINGS = {"stage": {"name": "implicit", "rate": 0.1, "sizes": (1, 2)}, "seed": 0}
 OTHER = {"stage": {"name": "implicit", "rate": 0.2, "sizes": (1, 2)}, "seed": 0}
@@ -62,11 +52,11 @@ def test_manifest_tells_what_was_made(tmp_path: Path) -> None:
     (tmp_path / "maps").mkdir()
     (tmp_path / "maps" / "a.txt").write_text("abc")
     run = sealed(tmp_path)
-    files = run.manifest["files"]
-    assert files["maps/a.txt"]["bytes"] == 3
+    files = {entry.file: entry for entry in run.files()}
+    assert files["maps/a.txt"].bytes == 3
     # SHA-256 of "abc", FIPS 180-4 example.
-    assert files["maps/a.txt"]["sha256"].startswith("ba7816bf8f01cfea")
-    assert MANIFEST not in files
+    assert files["maps/a.txt"].sha256.startswith("ba7816bf8f01cfea")
+    assert not {MANIFEST, FILES} & files.keys()
     assert run.headline == 0.5
     assert {"versions", "revision", "machine", "peak_memory_gib"} <= run.manifest.keys()
 
@@ -116,7 +106,7 @@ def test_failed_seal_leaves_no_manifest(tmp_path: Path) -> None:
     with pytest.raises(TypeError):
         seal(tmp_path, stage="x", settings=SETTINGS, metrics={}, facts={"bad": object()})
     assert not Run(tmp_path).complete
-    assert listing(tmp_path) == {}
+    assert list(listing(tmp_path)) == []
 
 
 def test_missing_predecessor_names_the_command(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ def show(root: Annotated[Path, typer.Argument(help="Folder of one stage.")]) -> 
     from gensp.cli.terminal import two_columns
 
     for entry in find_runs(root):
-        files = f"{len(entry.manifest['files'])} files, {entry.size / 2**20:.1f} MiB"
+        files = f"{entry.files} files, {entry.size / 2**20:.1f} MiB"
         told = {**entry.facts, "wrote": files, **entry.metrics, **entry.settings}
         two_columns(entry.name, [(key, text(value)) for key, value in told.items()])
 

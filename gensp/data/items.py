@@ -11,6 +11,7 @@ from gensp.errors import DamagedFile, MissingStage
 from gensp.files import load_npz, read_json
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import icosphere
+from gensp.layout import item_folder
 
 _SPHERE_LEVEL = 5
 
@@ -71,7 +72,7 @@ def training_items(
 
 def item_path(folder: Path | str, item: str) -> Path:
     """Where the mesh of an item is kept."""
-    return Path(folder) / "meshes" / f"{item}.npz"
+    return item_folder(Path(folder), "meshes", item) / f"{item}.npz"
 
 
 def item_mesh(folder: Path | str, item: str) -> Mesh:

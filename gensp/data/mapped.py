@@ -21,7 +21,7 @@ import torch
 from numpy.lib import format as npy
 from torch import Tensor
 
-from gensp.checksums import MANIFEST, listing, require_intact
+from gensp.checksums import MANIFEST, inline, listed, listing, require_intact
 from gensp.errors import DamagedFile, OutputError
 from gensp.files import load_npz, permitted, read_json, unwritable, write_json
 
@@ -96,7 +96,7 @@ def stored(folder: Path, key: str, write: Writer) -> dict[str, MappedArray]:
     if not place.exists():
         with _atomic_folder(place) as made:
             write(made)
-            write_json(made / MANIFEST, listing(made))
+            write_json(made / MANIFEST, inline(listing(made)))
     return {path.stem: MappedArray(path) for path in sorted(place.glob("*.npy"))}
 
 
@@ -104,7 +104,7 @@ def _whole(place: Path) -> bool:
     """Whether the manifest lists every array, and each is as it was written."""
     try:
         files = read_json(place / MANIFEST)
-        require_intact(place, files, "data")
+        require_intact(place, listed(place, files), "data")
         return {path.name for path in place.glob("*.npy")} <= files.keys()
     except (OSError, TypeError, AttributeError, KeyError, DamagedFile):
         return False

@@ -8,6 +8,7 @@ from lightning import LightningDataModule, Trainer
 from torch.utils.data import DataLoader, IterableDataset
 
 from gensp.compute import Row, Task, run_items
+from gensp.layout import lay_out
 from gensp.runs import Run
 from gensp.sharing import Workers
 
@@ -52,6 +53,8 @@ class ItemsModule(LightningDataModule):
         self.workers = workers or Workers()
         # A rank may be left without an item.
         self.allow_zero_length_dataloader_with_multiple_devices = True
+        # The run folder is seen by all machines.
+        self.prepare_data_per_node = False
 
     @classmethod
     def from_runs(
@@ -76,6 +79,10 @@ class ItemsModule(LightningDataModule):
         return cls(
             task=task(inputs=inputs, folder=folder), items=names, folder=folder, workers=workers
         )
+
+    def prepare_data(self) -> None:
+        """Decide where the items' files lie, on one rank, which alone knows of all items."""
+        lay_out(self.folder, len(self.items))
 
     def predict_dataloader(self) -> DataLoader[Row]:
         """The share of this rank, one finished row at a time."""

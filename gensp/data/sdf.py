@@ -14,6 +14,7 @@ from gensp.geometry.mesh import Mesh
 from gensp.geometry.points import sample_surface
 from gensp.geometry.sphere import sample_sphere
 from gensp.geometry.thickness import inner_radii
+from gensp.layout import keyed_path
 
 _DENSEST = 10.0
 
@@ -90,7 +91,7 @@ class SdfSampler:
 
 def sample_path(mesh: Mesh, sampler: SdfSampler, bound: float, cache: Path) -> Path:
     """Where the samples of a mesh are kept."""
-    return cache / f"{sampler.key(mesh, bound)}.npz"
+    return keyed_path(cache, sampler.key(mesh, bound), ".npz")
 
 
 def cached_samples(mesh: Mesh, sampler: SdfSampler, bound: float, cache: Path) -> SdfSamples:

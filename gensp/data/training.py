@@ -28,6 +28,7 @@ from gensp.errors import GenSPError, MissingData
 from gensp.geometry.common_source import mean_of_blocks
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import icosphere_of
+from gensp.layout import item_files
 from gensp.runs import Run
 from gensp.sharing import Workers, shared_out
 
@@ -243,12 +244,13 @@ class CorrespondenceModule(FitModule):
     @classmethod
     def from_runs(cls, inputs: Mapping[str, Run], folder: Path, **settings: Any) -> Self:
         """All items to which `correspond` has carried the icosphere."""
-        carried = inputs["correspond"].folder / "correspondences"
-        files = [file for file in sorted(carried.glob("*.npz")) if file.stem != SPHERE]
+        folder = inputs["correspond"].folder
+        carried = item_files(folder, "correspondences", ".npz")
+        files = [file for file in carried if file.stem != SPHERE]
         if not files:
             raise MissingData(
-                f"{carried}: holds no correspondences; at least one shape is required; "
-                "run stage=correspond again"
+                f"{folder / 'correspondences'}: holds no correspondences; at least one shape is "
+                "required; run stage=correspond again"
             )
         meshes = ItemMeshes(inputs["augment"].folder, [file.stem for file in files])
         return cls(meshes, Entries(files, "points"), Entries(files, "valid"), **settings)

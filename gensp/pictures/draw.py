@@ -12,6 +12,7 @@ from gensp.errors import MissingStage
 from gensp.files import load_npz, read_json
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.spherical_map import SphericalMap, load_map
+from gensp.layout import item_folder
 from gensp.pictures import sheets
 from gensp.pictures.curves import error_curves, loss_curves, read_history, save_figure
 from gensp.pictures.latent import latent_map
@@ -52,7 +53,7 @@ def single_shapes(material: Material) -> list[Path]:
     return [
         save_png(
             sheets.map_strip(drawn, material.sphere, name, material.notes.get(name, " ")),
-            material.pictures / "shapes" / f"{name}.png",
+            item_folder(material.folder, "pictures/shapes", name) / f"{name}.png",
         )
         for name, drawn in material.drawn_maps.items()
     ]
@@ -73,16 +74,14 @@ def morph_strips(material: Material) -> list[Path]:
 
 def flow_strips(material: Material) -> list[Path]:
     """Mean curvature flows of input shapes."""
-    folder = material.artefact("augment", "flows")
-    found = {
-        name: split for name, split in material.splits.items() if (folder / f"{name}.npz").exists()
-    }
+    files = material.files("augment", "flows")
+    found = {name: split for name, split in material.splits.items() if files[name].exists()}
     if not found:
         raise NotDrawn("stage augment left no flow of these shapes")
     size, frames = material.strip_tile, material.options.frames
 
     def strip(name: str) -> list[Tile]:
-        flow = load_npz(folder / f"{name}.npz")
+        flow = load_npz(files[name])
         vertices, faces = flow["vertices"].astype(np.float64), flow["faces"].astype(np.int64)
         return sheets.flow_tiles(vertices, faces, name, material.view, size, frames)
 
@@ -93,13 +92,13 @@ def flow_strips(material: Material) -> list[Path]:
 
 def prediction_strips(material: Material) -> list[Path]:
     """Inputs beside the surfaces that the generator makes of them."""
-    folder = material.artefact("parameterize", "predictions")
-    found = {n: material.splits[n] for n in material.maps if (folder / f"{n}.npz").exists()}
+    files = material.files("parameterize", "predictions")
+    found = {name: material.splits[name] for name in material.maps if files[name].exists()}
     if not found:
         raise NotDrawn("this method keeps no prediction")
     rows = []
     for name in material.options.chosen(found):
-        generated = load_npz(folder / f"{name}.npz").get("generated")
+        generated = load_npz(files[name]).get("generated")
         if generated is None:
             raise NotDrawn("the predictions hold no generated surface")
         surface = generated.astype(np.float64)
@@ -239,13 +238,13 @@ def _all_kinds(material: Material) -> tuple[dict[str, list[Path]], dict[str, str
 
 
 def _maps(runs: Mapping[str, Path], splits: Mapping[str, str]) -> dict[str, SphericalMap]:
-    folder = runs["parameterize"] / "maps"
-    files = {name: folder / f"{name}.npz" for name in splits}
+    folder = runs["parameterize"]
+    files = {name: item_folder(folder, "maps", name) / f"{name}.npz" for name in splits}
     maps = {name: load_map(path) for name, path in files.items() if path.is_file()}
     if not maps:
         raise MissingStage(
-            f"{folder}: holds no map of these {len(splits)} shapes; at least one is required; run "
-            "stage=parameterize first"
+            f"{folder / 'maps'}: holds no map of these {len(splits)} shapes; at least one is "
+            "required; run stage=parameterize first"
         )
     return maps
 

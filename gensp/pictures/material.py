@@ -12,6 +12,7 @@ from gensp.errors import GenSPError
 from gensp.files import read_rows
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.spherical_map import SphericalMap
+from gensp.layout import item_folder
 from gensp.pictures import sheets
 from gensp.pictures.montage import Tile
 from gensp.pictures.render import View, look
@@ -138,6 +139,17 @@ class Material:
         if not path.exists():
             raise NotDrawn(f"stage {stage} left no {name}")
         return path
+
+    def files(self, stage: str, kind: str) -> dict[str, Path]:
+        """Where another stage keeps the npz of every shape, whether it has one or not.
+
+        Raises
+        ------
+        NotDrawn
+            As of `artefact`, for the folder of all of them.
+        """
+        folder = self.artefact(stage, kind).parent
+        return {name: item_folder(folder, kind, name) / f"{name}.npz" for name in self.splits}
 
 
 def _note(row: Mapping[str, str]) -> str:

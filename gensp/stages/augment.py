@@ -93,13 +93,13 @@ class AugmentStage(ItemStage):
         shared = {"shape": row["id"], "split": row["split"]}
         items = [{"id": row["id"], **shared, "kind": "input", "t": 0.0}]
         if row["accepted"]:
-            for path in self._samples(str(row["id"])):
+            for path in self._samples(row):
                 t = float(load_npz(path)["t"])
                 items.append({"id": path.stem, **shared, "kind": "augmented", "t": t})
         return items
 
-    def _samples(self, shape: str) -> list[Path]:
-        folder = item_path(self.folder, shape).parent
-        prefix = f"{shape}@"
-        found = [path for path in folder.iterdir() if path.name.startswith(prefix)]
-        return sorted(found, key=lambda path: int(path.stem.removeprefix(prefix)))
+    def _samples(self, row: Row) -> list[Path]:
+        """Those that were not dropped, looked for one by one: a folder may hold all shapes."""
+        drawn = int(row.get("kept") or 0) + int(row.get("dropped") or 0)
+        paths = [item_path(self.folder, f"{row['id']}@{k}") for k in range(drawn)]
+        return [path for path in paths if path.is_file()]

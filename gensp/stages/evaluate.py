@@ -9,7 +9,7 @@ import torch
 
 from gensp.compute import Row, stored_rows
 from gensp.data.shapes import ShapeCollection
-from gensp.files import load_npz, read_json, read_rows, write_json, write_text
+from gensp.files import read_json, read_rows, write_json, write_text
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import icosphere
 from gensp.models import load_model
@@ -18,7 +18,7 @@ from gensp.runs import SETTINGS, Run
 from gensp.stages.base import ItemStage, write_table
 from gensp.stages.summary import Record, summarize, without_nan
 from gensp.tables import summary_csv, summary_markdown
-from gensp.tasks.evaluate import mapped_ids
+from gensp.tasks.evaluate import mapped_ids, pairs_path, prediction
 
 TRAINED = ("implicit", "correspond", "initialize", "finetune")
 _MORPH_LEVEL = 5
@@ -87,7 +87,7 @@ class EvaluateStage(ItemStage):
         return _metrics(summary["groups"])
 
     def _pairs(self, id: str) -> list[Record]:
-        pairs: list[Record] = read_json(self.folder / "pairs" / f"{id}.json")
+        pairs: list[Record] = read_json(pairs_path(self.folder, id))
         return pairs
 
     def _failed(self) -> list[Row]:
@@ -141,8 +141,7 @@ class EvaluateStage(ItemStage):
         }
 
     def _code(self, id: str) -> np.ndarray | None:
-        path = self.runs["parameterize"] / "predictions" / f"{id}.npz"
-        return load_npz(path).get("code") if path.is_file() else None
+        return prediction(self.runs["parameterize"], id).get("code")
 
 
 @torch.no_grad()

@@ -13,6 +13,7 @@ from gensp.files import read_json, write_json
 from gensp.geometry.preparation import DROPPED, REPAIRED
 from gensp.runs import Run
 from gensp.stages.base import ItemStage, write_table
+from gensp.tasks.prepare import prepared_path
 
 _DROPPED = ("id", "reason", "remedy", "found", "source")
 _TOLD = ("verdict", "found", "done", "hausdorff", "vertices", "faces", "truth_moved")
@@ -85,7 +86,7 @@ class PrepareStage(ItemStage):
     def _write_collection(self, kept: list[Row]) -> None:
         assert self.collection is not None
         splits = self.collection.splits([str(row["id"]) for row in kept])
-        records = [self.folder / "keypoints" / f"{row['id']}.json" for row in kept]
+        records = [prepared_path(self.folder, "keypoints", str(row["id"])) for row in kept]
         found = {path.stem: read_json(path) for path in records if path.is_file()}
         if found:
             write_json(self.folder / "keypoints.json", list(found.values()))
@@ -101,15 +102,19 @@ class PrepareStage(ItemStage):
         """The manifest's row of a mesh."""
         id = str(row["id"])
         known = self._columns(row)
-        dense = [f"corr/{id}.npz"] * (row.get("truth") is not None)
+        dense = [self._name("corr", id)] * (row.get("truth") is not None)
         return {
-            "file": f"meshes/{id}.ply",
+            "file": self._name("meshes", id),
             "split": splits[id],
             **{key: known.get(key, "") for key in COLUMNS},
             "correspondence": ";".join([*dense, *["keypoints.json"] * keypoints]),
             "genus": 0,
             **{key: row.get(key, "") for key in _TOLD},
         }
+
+    def _name(self, kind: str, id: str) -> str:
+        """A file as the manifest names it: from the collection's folder."""
+        return prepared_path(self.folder, kind, id).relative_to(self.folder).as_posix()
 
     def _columns(self, row: Row) -> dict[str, str]:
         assert self.collection is not None

@@ -68,6 +68,17 @@ def environments() -> list[ClusterEnvironment]:
     return [SLURMEnvironment(auto_requeue=False)] if started_outside() == "slurm" else []
 
 
+def gather(trainer: Trainer) -> None:
+    """Let ranks that were started together wait for the first, which alone checks what is read.
+
+    It comes here when all was found whole; else it ends with the reason, and whoever started them
+    ends the others. Ranks that Lightning starts are started after that.
+    """
+    if started_outside() and trainer.world_size > 1:
+        trainer.strategy.setup_environment()
+        trainer.strategy.barrier("inputs")
+
+
 def carry_out(
     trainer: Trainer, verb: str, module: Stage, data: LightningDataModule, *, resume: bool
 ) -> None:

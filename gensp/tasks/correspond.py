@@ -25,6 +25,7 @@ from gensp.geometry.registration import (
 )
 from gensp.geometry.spanning_tree import Tree, ancestors, spanning_tree
 from gensp.geometry.sphere import icosphere
+from gensp.layout import item_folder
 
 
 @dataclass(frozen=True)
@@ -178,7 +179,7 @@ class RegisterEdge:
 
 def edge_path(folder: Path, child: str) -> Path:
     """Where the registered edge to `child` is kept."""
-    return folder / "edges" / f"{child}.npz"
+    return item_folder(folder, "edges", child) / f"{child}.npz"
 
 
 def _diagnostics(attempts: Attempts) -> Row:

@@ -17,6 +17,7 @@ from gensp.geometry.consistency import coverage
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import icosphere_of
 from gensp.geometry.spherical_map import SphericalMap, load_map
+from gensp.layout import item_folder
 from gensp.runs import Run
 from gensp.tasks.pairs import EvaluatedMap, Record, pair_records
 
@@ -48,7 +49,7 @@ class Evaluate:
         """Write `pairs/<id>.json` and give the shape's row."""
         row = self._row(id)
         pairs = [record for other in self._partners(id) for record in self._pair(id, other)]
-        write_json(self.folder / "pairs" / f"{id}.json", pairs)
+        write_json(pairs_path(self.folder, id), pairs)
         return row
 
     def _partners(self, id: str) -> list[str]:
@@ -71,8 +72,8 @@ class Evaluate:
         return split if split == self.collection.shape(other).split else "mixed"
 
     def _map(self, id: str) -> EvaluatedMap:
-        path = map_path(self.parameterize, id)
-        return _evaluated(path, path.stat().st_mtime_ns, self.collection, self.samples)
+        written = map_path(self.parameterize, id).stat().st_mtime_ns
+        return _evaluated(self.parameterize, id, written, self.collection, self.samples)
 
     def _row(self, id: str) -> Row:
         evaluated = self._map(id)
@@ -111,7 +112,18 @@ def _coverage(name: str, mesh: Mesh, surface: Mesh) -> Row:
 
 def map_path(parameterize: Path, id: str) -> Path:
     """Where the map of a shape is kept."""
-    return parameterize / "maps" / f"{id}.npz"
+    return item_folder(parameterize, "maps", id) / f"{id}.npz"
+
+
+def pairs_path(folder: Path, id: str) -> Path:
+    """Where the pairs that a shape answers for are kept."""
+    return item_folder(folder, "pairs", id) / f"{id}.json"
+
+
+def prediction(parameterize: Path, id: str) -> dict[str, np.ndarray]:
+    """The arrays that a map started from; nothing where its method predicts nothing."""
+    path = item_folder(parameterize, "predictions", id) / f"{id}.npz"
+    return load_npz(path) if path.is_file() else {}
 
 
 def predicted_surface(parameterize: Path, id: str, kind: str) -> Mesh | None:
@@ -124,8 +136,7 @@ def predicted_surface(parameterize: Path, id: str, kind: str) -> Mesh | None:
     kind
         "generated", or "fitted": what the map was read off.
     """
-    path = parameterize / "predictions" / f"{id}.npz"
-    arrays = load_npz(path) if path.is_file() else {}
+    arrays = prediction(parameterize, id)
     if kind not in arrays:
         return None
     points = arrays[kind].astype(float)
@@ -156,14 +167,15 @@ def drawn_partners(ids: Sequence[str], id: str, partners: int | None) -> set[str
 # A worker meets every map in many pairs.
 @lru_cache(maxsize=128)
 def _evaluated(
-    path: Path, modified: int, collection: ShapeCollection, samples: int
+    parameterize: Path, id: str, written: int, collection: ShapeCollection, samples: int
 ) -> EvaluatedMap:
+    path = map_path(parameterize, id)
     map = load_map(path)
     truth = collection.ground_truth(map.name)
     keypoints = collection.keypoints(map.name)
     for known in (truth, keypoints):
         _require_fit(map, known, path)
-    image = predicted_surface(path.parents[1], map.name, "fitted")
+    image = predicted_surface(parameterize, id, "fitted")
     symmetries = collection.symmetries(map.name)
     return EvaluatedMap(map, truth, keypoints, samples=samples, image=image, symmetries=symmetries)
 

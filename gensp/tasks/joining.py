@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gensp.compute import Row, finished_row, run_items
+from gensp.layout import item_folder, lay_out
 from gensp.sharing import Workers
 from gensp.tasks.correspond import RegisterEdge, ShapeTree, edge_path
 
@@ -26,7 +27,7 @@ class RegisterElsewhere:
     def __call__(self, item: str) -> Row:
         """The row of this pair; its edge is written below the parent's folder."""
         child, parent = item.split("/")
-        place = alternative_folder(self.edge.folder) / parent
+        place = _place_of(self.edge.folder, parent)
         return replace(self.edge, folder=place).join(child, parent)
 
 
@@ -37,7 +38,11 @@ def alternative_folder(folder: Path) -> Path:
 
 def alternative_path(folder: Path, child: str, parent: str) -> Path:
     """Where the edge from another parent to `child` is kept."""
-    return edge_path(alternative_folder(folder) / parent, child)
+    return edge_path(_place_of(folder, parent), child)
+
+
+def _place_of(folder: Path, parent: str) -> Path:
+    return item_folder(alternative_folder(folder), ".", parent) / parent
 
 
 def alternative_row(folder: Path, child: str, parent: str) -> Row | None:
@@ -51,6 +56,8 @@ def register_elsewhere(
     """Which of some other edges are accepted; those of an earlier run are not tried again."""
     items = ["/".join(trial) for trial in trials]
     folder = alternative_folder(edge.folder)
+    # Further rounds try more; no more than a few for each shape of the tree.
+    lay_out(folder, len(edge.shapes.edges))
     list(run_items(RegisterElsewhere(edge), items, folder, workers))
     rows = {trial: alternative_row(edge.folder, *trial) for trial in trials}
     return {trial: bool(row and row["accepted"]) for trial, row in rows.items()}

@@ -18,6 +18,7 @@ from gensp.geometry.guided_registration import Guided, MappedShape, register_gui
 from gensp.geometry.neighbour_pairs import agreeing_pairs, nearest_pairs, star_pairs
 from gensp.geometry.registration import Acceptance, RegistrationSettings
 from gensp.geometry.spherical_map import SphericalMap
+from gensp.layout import item_folder, lay_out
 from gensp.methods.hierarchical import dirichlet
 from gensp.tasks.correspond import is_input
 
@@ -68,7 +69,7 @@ class RegisterPair:
 
     def shape(self, id: str) -> MappedShape:
         """An input with its own map, `guides/<id>.npz`, which is made when first asked for."""
-        return _shape(self.augment, self.folder / "guides", id)
+        return _shape(self.augment, self.folder, id)
 
     @property
     def softened(self) -> RegistrationSettings:
@@ -90,6 +91,8 @@ class RegisterPair:
     def pairs(self) -> list[str]:
         """The items: pairs worth registering."""
         codes = self.codes()
+        # Before all others: maps that guide are kept on the way, and there are no more pairs.
+        lay_out(self.folder, 2 * max(self.neighbours, 1) * len(codes))
         if self.neighbours == 0:
             chosen = star_pairs(codes)
         else:
@@ -145,13 +148,14 @@ class RegisterPair:
 
 def pair_path(folder: Path, parent: str, child: str) -> Path:
     """Where the registration of a parent to a child is kept."""
-    return folder / "edges" / parent / f"{child}.npz"
+    return item_folder(folder, "edges", parent) / parent / f"{child}.npz"
 
 
-def _shape(augment: Path, maps: Path, id: str) -> MappedShape:
+def _shape(augment: Path, folder: Path, id: str) -> MappedShape:
     """A shape with its map; the map is kept with the digest of the mesh that it belongs to."""
     mesh = item_mesh(augment, id)
-    return _mapped(maps / f"{id}.npz", content_hash(mesh.vertices, mesh.faces), augment, id)
+    path = item_folder(folder, "guides", id) / f"{id}.npz"
+    return _mapped(path, content_hash(mesh.vertices, mesh.faces), augment, id)
 
 
 @lru_cache(maxsize=256)

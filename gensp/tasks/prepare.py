@@ -19,9 +19,11 @@ from gensp.geometry.mesh import MAX_FACES, Mesh, normalize
 from gensp.geometry.ply import ply_bytes
 from gensp.geometry.points import SurfacePoints
 from gensp.geometry.preparation import DROPPED, Preparation, Prepared, words
+from gensp.layout import item_folder, keyed_path
 
 # Raised when the same input is to give other output.
 _VERSION = 2
+_ENDS = {"meshes": ".ply", "corr": ".npz", "keypoints": ".json"}
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ class Prepare:
         distances = self.normalize, self.truth_distance, self.keypoint_distance
         settings = asdict(self.preparation), distances, self.seed
         key = content_hash(_VERSION, id, self.collection.digest(id), settings)
-        return self.cache / "prepared" / f"{key}.npz"
+        return keyed_path(self.cache / "prepared", key, ".npz")
 
     def _made(self, id: str) -> Bundle:
         try:
@@ -137,13 +139,18 @@ class Prepare:
 
     def _write(self, id: str, bundle: Bundle) -> None:
         if bundle.mesh is not None:
-            with atomic_path(self.folder / "meshes" / f"{id}.ply") as temporary:
+            with atomic_path(prepared_path(self.folder, "meshes", id)) as temporary:
                 mesh = bundle.mesh
                 temporary.write_bytes(ply_bytes("xyz", mesh.vertices, mesh.faces))
         if bundle.truth is not None:
-            save_ground_truth(self.folder / "corr" / f"{id}.npz", bundle.truth)
+            save_ground_truth(prepared_path(self.folder, "corr", id), bundle.truth)
         if bundle.record is not None:
-            write_json(self.folder / "keypoints" / f"{id}.json", bundle.record)
+            write_json(prepared_path(self.folder, "keypoints", id), bundle.record)
+
+
+def prepared_path(folder: Path, kind: str, id: str) -> Path:
+    """Where the meshes, the ground truth ("corr") or the keypoints of a collection are written."""
+    return item_folder(folder, kind, id) / f"{id}{_ENDS[kind]}"
 
 
 def _row(found: Prepared) -> Row:

@@ -15,6 +15,7 @@ from gensp.errors import RegistrationFailed
 from gensp.files import load_npz, save_npz
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.registration import register
+from gensp.layout import item_folder
 from gensp.tasks.correspond import judged
 from gensp.tasks.pairing import RegisterPair
 
@@ -88,4 +89,4 @@ class Settle:
         return vertices
 
     def _path(self, id: str) -> Path:
-        return self.folder / "images" / f"{id}.npz"
+        return item_folder(self.folder, "images", id) / f"{id}.npz"

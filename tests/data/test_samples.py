@@ -91,7 +91,7 @@ def test_damaged_cache_is_made_again_with_a_warning(
     tmp_path: Path, bumpy: Mesh, damage: str
 ) -> None:
     first = cached_samples(bumpy, SAMPLER, 1.5, tmp_path)
-    (path,) = tmp_path.glob("*.npz")
+    (path,) = tmp_path.glob("*/*.npz")
     if damage == "truncate":
         path.write_bytes(path.read_bytes()[:500])
     elif damage == "text":

@@ -195,7 +195,7 @@ def test_bound_holds_all_shapes(sdf: SdfModule, meshes: list[Mesh]) -> None:
 
 def test_prepared_cache_is_used(sdf: SdfModule) -> None:
     sdf.prepare_data()
-    files = sorted(sdf.cache.glob("*.npz"))
+    files = sorted(sdf.cache.glob("*/*.npz"))
     assert len(files) == 3
     before = [file.stat().st_mtime_ns for file in files]
     epoch_of(sdf, 0)

@@ -169,6 +169,27 @@ def test_torchrun_walks_stages_in_step(smoke: Path, smoke_copy: Path) -> None:
     assert done.stdout.count("] implicit") == 1
 
 
+def test_ranks_wait_for_the_first_to_find_what_is_damaged(smoke_copy: Path) -> None:
+    run = smoke_copy / "smoke" / "full"
+    shutil.rmtree(run / "initialize")
+    model = run / "implicit" / "model.pt"
+    model.write_bytes(model.read_bytes()[:-1000])
+    launcher = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    words = (*smoke_words(smoke_copy), "trainer=ddp_cpu", "stage=initialize")
+    done = subprocess.run(
+        [sys.executable, *launcher, "train.py", *words],
+        cwd=ROOT,
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode != 0
+    assert done.stderr.count("error: ") == 1, done.stderr[-4000:]
+    assert "implicit/model.pt: was changed since" in done.stderr
+    assert not (run / "initialize").exists(), "no rank has written anything"
+
+
 def free_port() -> int:
     with socket.socket() as listening:
         listening.bind(("127.0.0.1", 0))

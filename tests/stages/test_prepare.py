@@ -31,6 +31,7 @@ from layouts import (
 )
 from test_bad_meshes import DEFECTS
 
+from gensp import layout
 from gensp.data.ground_truth import GroundTruth, save_ground_truth
 from gensp.data.shapes import ShapeCollection
 from gensp.errors import MissingData, OutputError, StaleRun, Unsupported
@@ -184,7 +185,7 @@ def test_a_second_pass_takes_what_is_kept(raw: Path, tmp_path: Path) -> None:
 
 def test_damaged_keepings_are_made_again(raw: Path, tmp_path: Path) -> None:
     prepare(raw, tmp_path / "first", ALL)
-    for path in (tmp_path / "cache" / "prepared").iterdir():
+    for path in (tmp_path / "cache" / "prepared").glob("*/*.npz"):
         path.write_bytes(path.read_bytes()[:100])
     rows = prepare(raw, tmp_path / "second", ALL)
     assert {row["cached"] for row in rows.values()} == {"False"}
@@ -331,3 +332,18 @@ def test_a_finished_stage_is_kept_without_loading_what_computes(raw: Path, tmp_p
     loaded = {line.rsplit("|", 1)[-1].strip().split(".")[0] for line in again.stderr.splitlines()}
     assert "hydra" in loaded
     assert not loaded & {"torch", "lightning", "igl", "trimesh", "scipy", "numba", "matplotlib"}
+
+
+def test_a_collection_in_many_folders_is_read_as_one(
+    raw: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    prepare(raw, tmp_path / "one")
+    monkeypatch.setattr(layout, "MOST", 1)
+    prepare(raw, tmp_path / "many")
+    one, many = (ShapeCollection.from_folder(tmp_path / name) for name in ("one", "many"))
+    assert many.ids() == one.ids()
+    for id in one.ids():
+        assert many.shape(id).path.relative_to(tmp_path / "many" / "meshes").parent.name
+        np.testing.assert_array_equal(many.mesh(id).vertices, one.mesh(id).vertices)
+    truths = [collection.ground_truth("bumpy") for collection in (one, many)]
+    np.testing.assert_array_equal(truths[0].ids, truths[1].ids)
