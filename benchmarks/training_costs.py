@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 import torch
 from hydra import compose, initialize_config_dir
-from lightning import Callback, LightningModule, Trainer, seed_everything
+from lightning import Trainer, seed_everything
 from omegaconf import DictConfig
+from step_meter import Cost, Meter, Operations
 from streaming import build
-from torch.utils.flop_counter import FlopCounterMode
 
 from gensp.configuration import made, placed
-from gensp.files import write_json
+from gensp.files import read_json, write_json
 from gensp.geometry.isosurface import extract_surface
 from gensp.models import save_model
 from gensp.runs import Run
@@ -42,54 +42,13 @@ Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Cost:
-    """Processor seconds, and floating point operations as torch counts them."""
-
-    seconds: float = 0.0
-    flops: float = 0.0
-
-    def __add__(self, other: "Cost") -> "Cost":
-        return Cost(self.seconds + other.seconds, self.flops + other.flops)
-
-    def __sub__(self, other: "Cost") -> "Cost":
-        return self + -1 * other
-
-    def __rmul__(self, factor: float) -> "Cost":
-        return Cost(factor * self.seconds, factor * self.flops)
-
-
-class Meter(Callback):
-    """The first step fills what is kept, the second is counted, the others are timed."""
-
-    def __init__(self) -> None:
-        self.seconds: list[float] = []
-        self.flops = 0.0
-        self._counter: FlopCounterMode | None = None
-        self._began = 0.0
-
-    def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, *_: Any) -> None:
-        """A step begins."""
-        if trainer.global_step == 1:
-            self._counter = FlopCounterMode(display=False)
-            self._counter.__enter__()
-        self._began = time.process_time()
-
-    def on_train_batch_end(self, *_: Any) -> None:
-        """A step ends."""
-        if self._counter is None:
-            self.seconds.append(time.process_time() - self._began)
-            return
-        self._counter.__exit__(None, None, None)
-        self.flops, self._counter = float(self._counter.get_total_flops()), None
-
-
-@dataclass(frozen=True)
 class Bench:
     """A folder of stand-ins for the stages before, for one recipe."""
 
     folder: Path
     recipe: str
     steps: int = 2
+    counting: bool = True
 
     def configured(self, stage: str, *words: str) -> DictConfig:
         """The recipe's settings; few samples are kept, for a step draws its own number of them."""
@@ -121,7 +80,7 @@ class Bench:
         module = made(cfg.stage.module, inputs=inputs, folder=folder)
         module.compiled = cfg.compile
         data = made(cfg.data, inputs=inputs, folder=folder)
-        meter = Meter()
+        meter = Meter(counting=self.counting)
         quiet = ("logger", "enable_checkpointing", "enable_progress_bar", "enable_model_summary")
         trainer = Trainer(
             max_steps=2 + self.steps,
@@ -133,7 +92,7 @@ class Bench:
             **dict.fromkeys(quiet, False),
         )
         trainer.fit(module, datamodule=data)
-        return Cost(float(np.median(meter.seconds[1:])), meter.flops)
+        return Cost(float(np.median(meter.seconds[-self.steps :])), meter.flops)
 
     def whole(self, stage: str) -> tuple[Cost, Cost]:
         """A step of the recipe's own batch, and what Eqs. 5 and 12 add; no level set extracted."""
@@ -182,12 +141,12 @@ class Bench:
         field = made(self.configured("implicit").model.implicit)
         z, x = torch.randn(1, field.settings["latent"]), torch.randn(1, 1000, 3)
         with torch.no_grad():
-            with FlopCounterMode(display=False) as counter:
+            with Operations() as counter:
                 field(z, x)
             began = time.process_time()
             field(z, x)
         seconds = time.process_time() - began
-        return 1e-3 * Cost(seconds, float(counter.get_total_flops()))
+        return 1e-3 * Cost(seconds, float(counter.total))
 
 
 def drawn(stage: str, numbers: DictConfig, level: int, points: int) -> list[str]:
@@ -223,14 +182,18 @@ def steps_of(numbers: DictConfig, items: int) -> int:
 
 
 def trainings(folder: Path, recipe: str, items: int, *, small: bool) -> list[Row]:
-    """A row for every training, for a collection of so many items, augmentations included."""
+    """A row for every training, for a collection of so many items, augmentations included.
+
+    Those that the folder has for this recipe and number of items are kept.
+    """
+    path = folder / f"trainings-{recipe}-{items}{'-small' if small else ''}.json"
+    rows: list[Row] = read_json(path) if path.is_file() else []
     torch.set_num_threads(1)
     bench = Bench(folder / recipe, recipe)
     numbers = bench.configured("implicit").recipe
     largest = SHAPES if small else max(numbers[stage].batch for stage in TRAININGS)
     bench.prepare(max(_BLOBS, largest - 1))
-    rows = []
-    for stage in TRAININGS:
+    for stage in TRAININGS[len(rows) :]:
         mine = numbers[stage]
         step, more = bench.scaled(stage) if small else bench.whole(stage)
         share = 1.0
@@ -241,5 +204,5 @@ def trainings(folder: Path, recipe: str, items: int, *, small: bool) -> list[Row
         row |= {"steps": steps_of(mine, items), "share": share}
         row |= {"seconds": step.seconds, "flops": step.flops}
         rows.append({**row, "more_seconds": more.seconds, "more_flops": more.flops})
-        write_json(folder / f"trainings-{recipe}.json", rows)
+        write_json(path, rows)
     return rows
