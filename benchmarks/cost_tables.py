@@ -73,6 +73,11 @@ def augment_table(rows: Sequence[Row]) -> list[str]:
     return lines
 
 
+def plain(value: float) -> str:
+    """Three digits, or all before the point, without powers of ten where they can be spared."""
+    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
+
+
 def evaluate_table(rows: Sequence[Row]) -> list[str]:
     """What one pair costs."""
     pairs = [row["pairs"] for row in rows]
@@ -97,12 +102,12 @@ def training_table(rows: Sequence[Row]) -> list[str]:
         costs = []
         for what, unit in (("flops", 1e12), ("seconds", 1.0)):
             own, more = row[what] / unit, row[f"more_{what}"] / unit
-            shown = f"{own:.3g} + {more:.3g}" if more else f"{own:.3g}"
+            shown = f"{plain(own)} + {plain(more)}" if more else plain(own)
             costs.append((shown, own, row["steps"] * (own + row["share"] * more)))
         name = f"{row['stage']}, recipe={row['recipe']}"
         cells = (name, f"{row['items']:,}", row["batch"], f"{row['steps']:,}")
-        each = f"{costs[1][1] / row['batch']:.3g}"
-        totals = f"{costs[1][2] / 3600:,.3g}", f"{costs[0][2] / 1000:,.3g}"
+        each = plain(costs[1][1] / row["batch"])
+        totals = plain(costs[1][2] / 3600), plain(costs[0][2] / 1000)
         line = (*cells, costs[0][0], costs[1][0], each, *totals)
         lines.append(f"| {' | '.join(map(str, line))} |")
     return lines

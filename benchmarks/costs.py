@@ -192,7 +192,7 @@ def main() -> None:
     parser.add_argument("--counts", type=int, nargs="+", default=[4, 8, 16])
     parser.add_argument("--vertices", type=int, nargs="+", default=[300, 600, 1200, 2400])
     parser.add_argument("--samples", type=int, nargs="+", default=[2, 6, 18])
-    parser.add_argument("--partners", type=int, nargs="+", default=[2, 4, 7])
+    parser.add_argument("--partners", type=int, nargs="+", default=[2, 6, 15])
     parser.add_argument("--recipe", default="smoke")
     parser.add_argument("--items", type=int, default=100, help="of trainings, samples included")
     parser.add_argument("--small", action="store_true", help="small batches, multiplied up")
@@ -207,7 +207,7 @@ def main() -> None:
         augment(out, min(given.counts), sorted(given.vertices)[1], given.samples)
         show(augment_table(read_json(out / "augment.json")))
     elif given.word == "evaluate":
-        evaluate(out, sorted(given.counts)[1], sorted(given.vertices)[1], given.partners)
+        evaluate(out, max(given.counts), sorted(given.vertices)[1], given.partners)
         show(evaluate_table(read_json(out / "evaluate.json")))
     elif given.word == "trainings":
         from training_costs import trainings  # imports what trains

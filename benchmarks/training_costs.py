@@ -122,7 +122,7 @@ class Bench:
         if stage == "implicit":
             # As the unit sphere plus something, the random field has a level set.
             easy = ["recipe.model.implicit.sphere_residual=true", *_ONCE]
-            sizes = {"resolution": 16, "kept": 1, "vertices": _EQ5_VERTICES}
+            sizes = {"resolution": 24, "kept": 1, "vertices": _EQ5_VERTICES}
             easy += [f"recipe.implicit.level_sets.{key}={value}" for key, value in sizes.items()]
             factor = numbers.level_sets.vertices / _EQ5_VERTICES
             return factor * (self.cost(stage, *small, *easy) - without)
