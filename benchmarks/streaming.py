@@ -89,6 +89,7 @@ def implicit(folder: Path, passes: int) -> tuple[LightningModule, LightningDataM
         encoder=encoder(),
         field=ImplicitField(LATENT, depth=6, octaves=4, **LAYERS),
         norm="l1",
+        tolerance=0.0,
         encoder_weight=1e-3,
         penalize="latents",
         origin_weight=0.1,
