@@ -2,19 +2,23 @@
 
 python benchmarks/costs.py measure --out costs      # minutes
 python benchmarks/costs.py pairs --out costs
+python benchmarks/costs.py augment --out costs
+python benchmarks/costs.py evaluate --out costs
+python benchmarks/costs.py trainings --out costs --recipe paper --items 24000 --small
 python benchmarks/costs.py table --out costs --picture docs/gallery/costs.png
 
 `measure` carries out every stage of experiment=smoke, with few epochs and one worker, on generated
 blobs: for each of `--counts` with the second of `--vertices`, and for all of these with the least
-count. `pairs` times what looks at pairs of shapes, complete and by neighbours. Every figure is
-processor time of one thread, so that other work on the machine hardly counts. `table` prints both
-as Markdown. An exponent p is that of b·nᵖ, fitted to all sizes; what a stage costs whatever the
-size lowers it.
+count. `pairs` times what looks at pairs of shapes, complete and by neighbours. `augment` carries
+out that stage alone with `--samples` of every flow; `evaluate` that stage with more and more
+partners of every shape, by the numbers of recipe=paper; `trainings` takes steps of a recipe's own
+networks, see `training_costs.py`. Every figure is processor time of one thread, so that other work
+on the machine hardly counts. `table` prints the first two as Markdown. An exponent p is that of
+b·nᵖ, fitted to all sizes; what a stage costs whatever the size lowers it.
 """
 
 import argparse
 import resource
-import sys
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -22,8 +26,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cost_tables import (
+    augment_table,
+    draw,
+    evaluate_table,
+    pair_table,
+    show,
+    stage_table,
+    training_table,
+)
 from hydra import compose, initialize_config_dir
-from rich.console import Console
 
 from gensp.files import read_json, write_json
 from gensp.geometry import neighbour_pairs
@@ -32,7 +44,6 @@ from gensp.geometry.neighbour_pairs import degree_norms, nearest_pairs
 from gensp.geometry.rotation_registration import density_signal, register_rotation
 from gensp.geometry.spanning_tree import spanning_tree
 from gensp.geometry.sphere import icosphere
-from gensp.pictures.curves import figure, save_figure
 from gensp.run import run
 from gensp.sweeps import ORDER
 
@@ -45,6 +56,9 @@ SHORT = (
     # Of a call that was interrupted nothing is kept: what is finished would cost nothing.
     *("force=true", "workers.jobs=1", "threads=1", "logger=none", "experiment=smoke"),
 )
+WORDS = ("measure", "pairs", "augment", "evaluate", "trainings", "table")
+# Stage evaluate of recipe=paper.
+PAPER_PAIRS = ("recipe.evaluate.level=6", "recipe.evaluate.samples=10000")
 Row = dict[str, Any]
 
 
@@ -55,24 +69,32 @@ def spent() -> float:
     return sum(used.ru_utime + used.ru_stime for used in times)
 
 
+def stage_cost(out: Path, name: str, stage: str, words: Sequence[str]) -> Row:
+    """Processor seconds of a stage, made anew, and bytes of its folder."""
+    words = [f"stage={stage}", f"name={name}", f"paths.runs={out}", *SHORT, *words]
+    began = spent()
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        run(compose("config", overrides=words), words)
+    seconds = spent() - began
+    folder = out / name / "full" / stage
+    size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+    return {"stage": stage, "seconds": seconds, "bytes": size}
+
+
+def collection(count: int, vertices: int) -> list[str]:
+    """The words for blobs of which two are held out."""
+    return [
+        *(f"shapes.count={count}", f"shapes.vertices={vertices}", "shapes.test=2"),
+        f"recipe.augment.flow_vertices={2 * vertices}",
+        f"recipe.augment.training_vertices={vertices}",
+    ]
+
+
 def stage_rows(out: Path, count: int, vertices: int, name: str = "") -> list[Row]:
     """Cost of all stages on one collection."""
-    name, rows = name or f"costs-{count}-{vertices}", []
-    for stage in ORDER:
-        words = [
-            *(f"stage={stage}", f"name={name}", f"paths.runs={out}", *SHORT),
-            *(f"shapes.count={count}", f"shapes.vertices={vertices}", "shapes.test=2"),
-            f"recipe.augment.flow_vertices={2 * vertices}",
-            f"recipe.augment.training_vertices={vertices}",
-        ]
-        began = spent()
-        with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-            run(compose("config", overrides=words), words)
-        folder = out / name / "full" / stage
-        size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-        row = {"stage": stage, "shapes": count, "vertices": vertices}
-        rows.append({**row, "seconds": spent() - began, "bytes": size})
-    return rows
+    name, words = name or f"costs-{count}-{vertices}", collection(count, vertices)
+    place = {"shapes": count, "vertices": vertices}
+    return [{**stage_cost(out, name, stage, words), **place} for stage in ORDER]
 
 
 def measure(out: Path, counts: Sequence[int], vertices: Sequence[int]) -> None:
@@ -86,6 +108,35 @@ def measure(out: Path, counts: Sequence[int], vertices: Sequence[int]) -> None:
         if not any((row["shapes"], row["vertices"]) == size for row in rows):
             rows += stage_rows(out, *size)
             write_json(path, rows)
+
+
+def augment(out: Path, count: int, vertices: int, samples: Sequence[int]) -> None:
+    """Write augment.json: cost of stage augment by the samples that are taken of every flow."""
+    words = collection(count, vertices)
+    place = {"shapes": count - 2, "vertices": vertices}
+    stage_cost(out, "costs-first", "augment", words)  # loops are compiled, blobs are generated
+    rows = []
+    for number in samples:
+        more = [*words, f"recipe.augment.samples={number}"]
+        row = stage_cost(out, f"costs-augment-{number}", "augment", more)
+        made = out / f"costs-augment-{number}" / "full" / "augment" / "meshes"
+        kept = len(list(made.glob("*@*.npz")))
+        rows.append({**row, **place, "samples": number, "augmentations": kept})
+    write_json(out / "augment.json", rows)
+
+
+def evaluate(out: Path, count: int, vertices: int, partners: Sequence[int]) -> None:
+    """Write evaluate.json: cost of stage evaluate by the number of pairs, of the same maps."""
+    words, rows = collection(count, vertices), []
+    for stage in ORDER[:-1]:
+        stage_cost(out, "costs-evaluate", stage, words)
+    for number in (partners[0], *partners):  # what is compiled or read first counts in none
+        more = [*words, *PAPER_PAIRS, f"recipe.evaluate.partners={number}"]
+        row = stage_cost(out, "costs-evaluate", "evaluate", more)
+        records = (out / "costs-evaluate" / "full" / "evaluate" / "pairs").glob("*.json")
+        found = {(pair["first"], pair["second"]) for path in records for pair in read_json(path)}
+        rows.append({**row, "shapes": count, "partners": number, "pairs": len(found)})
+    write_json(out / "evaluate.json", rows[1:])
 
 
 def timed(work: Callable[[], object]) -> float:
@@ -133,91 +184,38 @@ def pairs(out: Path) -> None:
     write_json(out / "pairs.json", rows)
 
 
-def exponent(sizes: Sequence[float], costs: Sequence[float]) -> float:
-    """Slope of the costs over the sizes, both as logarithms, by least squares."""
-    return float(np.polyfit(np.log(sizes), np.log(costs), 1)[0])
-
-
-def series(rows: Sequence[Row], along: str, stage: str, what: str) -> list[tuple[int, float]]:
-    """Sizes and costs of a stage along one of the two directions."""
-    other = "vertices" if along == "shapes" else "shapes"
-    fixed = sorted(row[other] for row in rows)
-    fixed_at = max(set(fixed), key=fixed.count)
-    chosen = [row for row in rows if row["stage"] == stage and row[other] == fixed_at]
-    return sorted((row[along], row[what]) for row in chosen)
-
-
-def stage_table(rows: Sequence[Row], along: str) -> list[str]:
-    """A line for every stage: costs at all sizes, exponents, cost of one more."""
-    sizes = [size for size, _ in series(rows, along, ORDER[0], "seconds")]
-    heads = [f"{size} {along}" for size in sizes]
-    lines = [f"| stage | {' | '.join(heads)} | exponent | each | exponent of bytes | bytes each |"]
-    lines.append("|---|" + "---|" * (len(sizes) + 4))
-    for stage in ORDER:
-        cells = []
-        for what, form in (("seconds", ".3g"), ("bytes", ",.0f")):
-            costs = [cost for _, cost in series(rows, along, stage, what)]
-            each = (costs[-1] - costs[0]) / (sizes[-1] - sizes[0])
-            cells.append((costs, f"{exponent(sizes, costs):.2f}", format(each, form)))
-        seconds = [f"{cost:.1f}" for cost in cells[0][0]]
-        lines.append(f"| {' | '.join([stage, *seconds, *cells[0][1:], *cells[1][1:]])} |")
-    return lines
-
-
-def pair_table(rows: Sequence[Row]) -> list[str]:
-    """A line for everything that looks at pairs."""
-    lines = ["| what | shapes: seconds | exponent |", "|---|---|---|"]
-    for what in dict.fromkeys(row["what"] for row in rows):
-        chosen = [row for row in rows if row["what"] == what]
-        costs = [row["seconds"] for row in chosen]
-        sizes = [row["shapes"] for row in chosen]
-        grows = f"{exponent(sizes, costs):.2f}" if len(costs) > 1 else ""
-        shown = ", ".join(f"{row['shapes']:,}: {row['seconds']:.3g}" for row in chosen)
-        lines.append(f"| {what} | {shown} | {grows} |")
-    return lines
-
-
-def draw(rows: Sequence[Row], pair_rows: Sequence[Row], path: Path) -> None:
-    """Seconds over shapes, over vertices, and of what looks at pairs; all on logarithmic axes."""
-    drawing = figure(14, 4.2)
-    panels = drawing.subplots(1, 3)
-    for panel, along in zip(panels, ("shapes", "vertices"), strict=False):
-        for stage in ORDER:
-            points = zip(*series(rows, along, stage, "seconds"), strict=True)
-            panel.loglog(*points, "o-", label=stage)
-        panel.set(xlabel=along, ylabel="processor seconds")
-    for what in dict.fromkeys(row["what"] for row in pair_rows if row["shapes"] > 2):
-        chosen = [(row["shapes"], row["seconds"]) for row in pair_rows if row["what"] == what]
-        panels[2].loglog(*zip(*chosen, strict=True), "o-", label=what)
-    panels[2].set(xlabel="shapes")
-    for panel in panels[[0, 2]]:
-        panel.legend(fontsize=7)
-    save_figure(drawing, path)
-
-
 def main() -> None:
-    """One of the three words."""
+    """One of the words."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("word", choices=("measure", "pairs", "table"))
+    parser.add_argument("word", choices=WORDS)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--counts", type=int, nargs="+", default=[4, 8, 16])
     parser.add_argument("--vertices", type=int, nargs="+", default=[300, 600, 1200, 2400])
+    parser.add_argument("--samples", type=int, nargs="+", default=[2, 6, 18])
+    parser.add_argument("--partners", type=int, nargs="+", default=[2, 6, 15])
+    parser.add_argument("--recipe", default="smoke")
+    parser.add_argument("--items", type=int, default=100, help="of trainings, samples included")
+    parser.add_argument("--small", action="store_true", help="small batches, multiplied up")
     parser.add_argument("--picture", type=Path)
     given = parser.parse_args()
+    out = given.out.resolve()
     if given.word == "measure":
-        measure(given.out.resolve(), given.counts, given.vertices)
+        measure(out, given.counts, given.vertices)
     elif given.word == "pairs":
-        pairs(given.out)
+        pairs(out)
+    elif given.word == "augment":
+        augment(out, min(given.counts), sorted(given.vertices)[1], given.samples)
+        show(augment_table(read_json(out / "augment.json")))
+    elif given.word == "evaluate":
+        evaluate(out, max(given.counts), sorted(given.vertices)[1], given.partners)
+        show(evaluate_table(read_json(out / "evaluate.json")))
+    elif given.word == "trainings":
+        from training_costs import trainings  # imports what trains
+
+        show(training_table(trainings(out, given.recipe, given.items, small=given.small)))
     else:
-        rows, pair_rows = (read_json(given.out / f"{name}.json") for name in ("costs", "pairs"))
-        tables = [
-            stage_table(rows, "shapes"),
-            stage_table(rows, "vertices"),
-            pair_table(pair_rows),
-        ]
-        console = Console(file=sys.stdout, soft_wrap=True)
-        text = "\n\n".join("\n".join(lines) for lines in tables)
-        console.print(text, markup=False, highlight=False)
+        rows, pair_rows = (read_json(out / f"{name}.json") for name in ("costs", "pairs"))
+        show(stage_table(rows, "shapes"), stage_table(rows, "vertices"), pair_table(pair_rows))
         if given.picture:
             draw(rows, pair_rows, given.picture)
 

@@ -26,10 +26,16 @@ sys.path.append(str(ROOT / "tests"))
 
 from commands import STAGES
 from compare import different, results
+from test_bad_meshes import DEFECTS
 
+from gensp.data.blobs import BlobFamily, generate_blobs
+from gensp.geometry.mesh import Mesh, load_mesh, save_mesh
+from gensp.geometry.repair import STEPS
 from gensp.layout import item_files
 from gensp.runs import CHECKPOINT, MANIFEST, Run
 
+PREPARE = "prepare"
+CHOICES = (*STAGES, PREPARE)  # the place of each seeds its moments
 _SAY = Console(stderr=True)
 _ATTEMPTS = 5  # for every kill: a stage may end before its moment
 
@@ -59,11 +65,23 @@ class Study:
         place = self.out / name
         paths = [f"paths.runs={place}", f"paths.cache={place / 'cache'}"]
         small = ["experiment=smoke", "threads=1", "callbacks.last.every_seconds=0"]
-        return [*small, *paths, f"workers.jobs={jobs}", f"stage={stage}"]
+        words = [*small, *paths, f"workers.jobs={jobs}", f"stage={stage}"]
+        return [*words, *self._raw_words()] if stage == PREPARE else words
+
+    def _raw_words(self) -> list[str]:
+        """The raw collection, mended in every way and given new triangles."""
+        repair = f"recipe.prepare.repair=[{','.join(STEPS)}]"
+        raw = ["shapes=folder", f"shapes.root={self.out / 'raw'}", "name=smoke"]
+        return [*raw, repair, "recipe.prepare.remesh=true"]
 
     def folder(self, name: str, stage: str) -> Path:
         """Where a stage of the experiment writes."""
         return self.out / name / "smoke" / "full" / stage
+
+    def forget(self, stage: str) -> None:
+        """Remove the killed stage, and the cache of prepared meshes that would shorten it."""
+        shutil.rmtree(self.folder("killed", stage))
+        shutil.rmtree(self.out / "killed" / "cache" / "prepared", ignore_errors=True)
 
     def finish(self, name: str, stage: str) -> float:
         """Run a stage to its end; the seconds of the process."""
@@ -99,11 +117,28 @@ class Study:
         return "its settings" if (folder / "settings.json").is_file() else "nothing"
 
 
+def write_raw(out: Path) -> None:
+    """Blobs, every fourth open and every fourth of two parts, and a ball with every defect."""
+    family = generate_blobs(out / "cache", BlobFamily(count=12, vertices=1500))
+    for k, path in enumerate(sorted(family.rglob("*.ply"))):
+        mesh = load_mesh(path)
+        vertices, faces = mesh.vertices, mesh.faces
+        if k % 4 == 1:
+            faces = faces[20:]
+        if k % 4 == 2:
+            faces = np.concatenate([faces, faces + len(vertices)])
+            vertices = np.concatenate([vertices, 0.2 * vertices + 5])
+        save_mesh(Mesh(vertices, faces), out / "raw" / path.name)
+    for name, (write, *_) in DEFECTS.items():
+        if name != "huge":  # takes longer to write than all others to mend
+            write(out / "raw" / f"{name}.ply")
+
+
 def kills_of(study: Study, stage: str, count: int) -> list[Kill]:
     """Kill a stage again and again where it stands, let it end, compare."""
     whole = study.finish("reference", stage)
     working = float(Run(study.folder("reference", stage)).manifest["seconds"])
-    random = np.random.default_rng([study.seed, STAGES.index(stage)])
+    random = np.random.default_rng([study.seed, CHOICES.index(stage)])
     kills: list[Kill] = []
     waiting: list[Kill] = []
     for attempt in range(_ATTEMPTS * count):
@@ -113,7 +148,7 @@ def kills_of(study: Study, stage: str, count: int) -> list[Kill]:
         if found == "finished":  # too late: what was killed before is compared, then anew
             kills += [_compared(study, kill) for kill in waiting]
             waiting.clear()
-            shutil.rmtree(study.folder("killed", stage))
+            study.forget(stage)
             whole = max(0.8 * whole, working)  # the machine is less busy than before
             continue
         waiting.append(Kill(stage, round(moment, 2), round(whole, 2), found))
@@ -146,11 +181,13 @@ def main() -> None:
     """Kill, compare, write the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--kills", type=int, default=3, help="in every stage")
-    parser.add_argument("--stages", nargs="+", default=STAGES, choices=STAGES)
+    parser.add_argument("--stages", nargs="+", default=CHOICES, choices=CHOICES)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, required=True)
     chosen = parser.parse_args()
     study = Study(chosen.out.resolve(), chosen.seed)
+    if PREPARE in chosen.stages:
+        write_raw(study.out)
     kills = [kill for stage in chosen.stages for kill in kills_of(study, stage, chosen.kills)]
     chosen.out.mkdir(parents=True, exist_ok=True)
     with open(chosen.out / "faults.csv", "w", encoding="utf-8", newline="") as file:

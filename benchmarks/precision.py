@@ -1,21 +1,26 @@
 """How far bf16-mixed and compile=true move the gradient of every loss, on small random networks.
 
 OMP_NUM_THREADS=1 python benchmarks/precision.py      # minutes, nearly all of the C++ compiler
+OMP_NUM_THREADS=1 python benchmarks/precision.py --timed quick --out precision
 
 Printed is ‖g − g₀‖ / ‖g₀‖ of all weights' gradients g, where g₀ is that in single precision,
 uncompiled: the largest of some draws of weights and data. bf16-mixed covers the whole loss,
 Eqs. 5 and 12 too, which trainings keep out of it. Losses of derivatives are not
-compiled: PyTorch refuses them (`tests/stages/test_speed.py`).
+compiled: PyTorch refuses them (`tests/stages/test_speed.py`). `--timed` prints instead what an
+optimiser step of a recipe's trainings takes with either word, in processor seconds of one thread,
+without Eqs. 5 and 12, which neither word touches.
 """
 
 import argparse
 import sys
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import torch
 from rich.console import Console
 from torch import Tensor, nn
+from training_costs import PLAIN, TRAININGS, Bench
 
 from gensp.geometry.reduced import deformation_cover
 from gensp.geometry.sphere import icosphere
@@ -141,12 +146,24 @@ def deviations(make: Callable[[], Case], draws: int) -> tuple[float, float]:
     return max(mixed), max(compiled)
 
 
-def main() -> None:
-    """Print a Markdown table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--draws", type=int, default=5)
-    draws = parser.parse_args().draws
-    console = Console(file=sys.stdout, soft_wrap=True, highlight=False)
+def show_steps(console: Console, recipe: str, out: Path) -> None:
+    """A line for every training: seconds of a step, plain and with either word."""
+    torch.set_num_threads(1)
+    bench = Bench(out, recipe, steps=4, counting=False)
+    numbers = bench.configured("implicit").recipe
+    bench.prepare(max(numbers[stage].batch for stage in TRAININGS) - 1)
+    console.print(
+        "| training | plain (s) | bf16-mixed (s) | compile=true (s) |\n|---|---|---|---|"
+    )
+    for stage in TRAININGS:
+        words = ("compile=false", "trainer.precision=bf16-mixed", "compile=true")
+        costs = [bench.cost(stage, PLAIN, word).seconds for word in words]
+        cells = " | ".join(f"{seconds:.3g}" for seconds in costs)
+        console.print(f"| {stage}, recipe={recipe} | {cells} |", markup=False)
+
+
+def show_deviations(console: Console, draws: int) -> None:
+    """A line for every loss: by how much either word moves its gradient."""
     console.print("| loss | bf16-mixed | compile=true | seconds |\n|---|---|---|---|")
     for name, make in CASES.items():
         began = time.perf_counter()
@@ -155,6 +172,20 @@ def main() -> None:
         seconds = f"{time.perf_counter() - began:.0f}"
         line = " | ".join([name, f"{mixed:.1%}", shown, seconds])
         console.print(f"| {line} |", markup=False)
+
+
+def main() -> None:
+    """Print a Markdown table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--draws", type=int, default=5)
+    parser.add_argument("--timed", metavar="RECIPE", help="time steps of its trainings instead")
+    parser.add_argument("--out", type=Path, default=Path("precision"), help="of --timed")
+    given = parser.parse_args()
+    console = Console(file=sys.stdout, soft_wrap=True, highlight=False)
+    if given.timed:
+        show_steps(console, given.timed, given.out.resolve())
+    else:
+        show_deviations(console, given.draws)
 
 
 if __name__ == "__main__":

@@ -6,10 +6,13 @@ A collection of `--shapes` generated blobs is repeated until it has `--sizes` it
 files of its own. For every size and stage a fresh process trains `--steps` steps of the size of
 recipe=quick. Printed are the largest resident memory while it trained (`anon`: what cannot be read
 again from files; `all`: with mapped files and libraries), and the share of its time for which the
-training waited for its next batch. An epoch has as many steps in all sizes (`passes`).
+training waited for its next batch. An epoch has as many steps in all sizes (`passes`), and is
+over within none of them; with `--validation yes` it is cut into four, after each of which the
+stage's callback measures four shapes.
 """
 
 import argparse
+import itertools
 import shutil
 import subprocess
 import sys
@@ -27,6 +30,7 @@ from gensp.data.blobs import BlobFamily, generate_blobs
 from gensp.data.items import item_path
 from gensp.data.loading import AheadLoader
 from gensp.data.sdf import SdfSampler
+from gensp.data.shapes import ShapeCollection
 from gensp.data.training import Batching, CorrespondenceModule, SdfModule
 from gensp.files import read_json, save_npz, write_json
 from gensp.geometry.distance import closest_point
@@ -34,12 +38,17 @@ from gensp.geometry.mesh import load_mesh, normalize
 from gensp.geometry.sphere import icosphere
 from gensp.models import AnchoredGenerator, ImplicitField, PointNet2Encoder
 from gensp.runs import Run
-from gensp.stages.generator import FinetuneStage, Surfaces
+from gensp.stages.generator import FinetuneStage, InitializeStage, Surfaces
 from gensp.stages.implicit import ImplicitStage, LevelSetSampling
+from gensp.stages.validation import DistanceValidation, GeneratorValidation
 
 LATENT = 64
 LAYERS = {"width": 128, "inject": [3], "activation": "silu"}
-COLUMNS = ("stage", "shapes", "steps", "anon (MiB)", "all (MiB)", "wait", "step (ms)")
+COLUMNS = (
+    *("stage", "validation", "shapes", "steps"),
+    *("anon (MiB)", "all (MiB)", "wait", "step (ms)"),
+)
+VALIDATIONS = 4
 
 
 def build(folder: Path, shapes: int, size: int) -> None:
@@ -51,7 +60,8 @@ def build(folder: Path, shapes: int, size: int) -> None:
     ids = []
     for k in range(size):
         mesh, image = meshes[k % shapes], images[k % shapes]
-        ids.append(f"{mesh.name}-{k // shapes}")
+        # The first of each are known to the collection that validation asks.
+        ids.append(f"{mesh.name}-{k // shapes}" if k >= shapes else mesh.name)
         item = item_path(folder / "augment", ids[-1])
         save_npz(item, vertices=mesh.vertices, faces=mesh.faces)
         carried = folder / "correspond" / "correspondences" / f"{ids[-1]}.npz"
@@ -79,6 +89,7 @@ def implicit(folder: Path, passes: int) -> tuple[LightningModule, LightningDataM
         encoder=encoder(),
         field=ImplicitField(LATENT, depth=6, octaves=4, **LAYERS),
         norm="l1",
+        tolerance=0.0,
         encoder_weight=1e-3,
         penalize="latents",
         origin_weight=0.1,
@@ -88,6 +99,22 @@ def implicit(folder: Path, passes: int) -> tuple[LightningModule, LightningDataM
         sampling=LevelSetSampling(vertices=500, nodes=60, directions=4, resolution=32),
         learning_rate=2e-3,
         folder=folder / "implicit",
+    )
+    return stage, data
+
+
+def initialize(folder: Path, passes: int) -> tuple[LightningModule, LightningDataModule]:
+    """Stage III-b, which encodes all items before its first step."""
+    batching = Batching(size=16, points=320, passes=passes, cloud=1024, draws=2)
+    data = CorrespondenceModule.from_runs(
+        runs(folder), folder, batching=batching, store=folder / "cache"
+    )
+    stage = InitializeStage(
+        encoder=encoder(),
+        generator=generator(),
+        latent_spread=2.0,
+        learning_rate=5e-3,
+        folder=folder / "initialize",
     )
     return stage, data
 
@@ -102,7 +129,7 @@ def finetune(folder: Path, passes: int) -> tuple[LightningModule, LightningDataM
     )
     stage = FinetuneStage(
         encoder=encoder(),
-        generator=AnchoredGenerator(LATENT, form="blend", rank=16, depth=4, octaves=3, **LAYERS),
+        generator=generator(),
         surfaces=Surfaces(folder / "augment"),
         parents=dict.fromkeys(data.ids[1:], "sphere"),
         train_encoder=True,
@@ -121,13 +148,25 @@ def finetune(folder: Path, passes: int) -> tuple[LightningModule, LightningDataM
     return stage, data
 
 
-STAGES = {"implicit": implicit, "finetune": finetune}
+STAGES = {"implicit": implicit, "initialize": initialize, "finetune": finetune}
 
 
 def encoder() -> PointNet2Encoder:
     """recipe=quick's, from seed 0."""
     seed_everything(0, verbose=False)
     return PointNet2Encoder(LATENT, width=32, groups=[[128, 16], [32, 16]])
+
+
+def generator() -> AnchoredGenerator:
+    """recipe=quick's."""
+    return AnchoredGenerator(LATENT, form="blend", rank=16, depth=4, octaves=3, **LAYERS)
+
+
+def validation(name: str, folder: Path, shapes: int) -> Callback:
+    """What the stage's own configuration adds, at the end of every epoch."""
+    collection = ShapeCollection.from_blobs(folder / "cache", count=shapes, test=0)
+    kind = DistanceValidation if name == "implicit" else GeneratorValidation
+    return kind(collection=collection, times=1)
 
 
 class Meter(Callback):
@@ -144,6 +183,13 @@ class Meter(Callback):
     def on_train_batch_end(self, *_: Any) -> None:
         """A step ends; memory is read outside of its time."""
         self.step += time.perf_counter() - self._began
+        self._look()
+
+    def on_train_epoch_end(self, *_: Any) -> None:
+        """An epoch ends; the validation before this in the list of callbacks has measured."""
+        self._look()
+
+    def _look(self) -> None:
         status = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
         sizes = {line.split(":")[0]: line.split()[1] for line in status if line.endswith("kB")}
         self.anon = max(self.anon, int(sizes["RssAnon"]) / 1024)
@@ -167,17 +213,20 @@ def watched(meter: Meter) -> None:
     AheadLoader.__iter__ = timed  # type: ignore[method-assign]
 
 
-def measured(name: str, folder: Path, shapes: int, passes: int, steps: int) -> dict[str, Any]:
+def measured(name: str, size: int, validated: str, given: argparse.Namespace) -> dict[str, Any]:
     """One row, in this process."""
     torch.set_num_threads(1)
-    stage, data = STAGES[name](folder, passes)
+    folder, steps = given.out / str(size), given.steps
+    stage, data = STAGES[name](folder, max(1, max(given.sizes) // size))
     meter = Meter()
     watched(meter)
+    measuring = [validation(name, folder, given.shapes)] if validated == "yes" else []
     trainer = Trainer(
         max_steps=steps,
         max_epochs=-1,
         accelerator="cpu",
-        callbacks=[meter],
+        limit_train_batches=steps // VALIDATIONS if measuring else None,
+        callbacks=[*measuring, meter],
         inference_mode=False,
         logger=False,
         enable_checkpointing=False,
@@ -186,8 +235,9 @@ def measured(name: str, folder: Path, shapes: int, passes: int, steps: int) -> d
     )
     trainer.fit(stage, datamodule=data)
     share = meter.wait / (meter.wait + meter.step)
-    values = (name, shapes, steps, round(meter.anon), round(meter.resident), f"{share:.1%}")
-    return dict(zip(COLUMNS, (*values, round(1000 * meter.step / steps)), strict=True))
+    values = (name, validated, size, steps, round(meter.anon), round(meter.resident))
+    taken = (f"{share:.1%}", round(1000 * meter.step / steps))
+    return dict(zip(COLUMNS, (*values, *taken), strict=True))
 
 
 def main() -> None:
@@ -197,25 +247,24 @@ def main() -> None:
     parser.add_argument("--shapes", type=int, default=40)
     parser.add_argument("--sizes", type=int, nargs="+", default=[40, 4000])
     parser.add_argument("--stages", nargs="+", choices=STAGES, default=list(STAGES))
+    parser.add_argument("--validation", nargs="+", choices=("no", "yes"), default=["no"])
     parser.add_argument("--steps", type=int, default=120)
     parser.add_argument("--one", help=argparse.SUPPRESS)
     given = parser.parse_args()
-    largest = max(given.sizes)
     if given.one:
-        name, size = given.one.split("/")
-        folder, passes = given.out / size, max(1, largest // int(size))
-        row = measured(name, folder, int(size), passes, given.steps)
-        write_json(given.out / f"{name}-{size}.json", row)
+        name, size, validated = given.one.split("/")
+        row = measured(name, int(size), validated, given)
+        write_json(given.out / f"{name}-{size}-{validated}.json", row)
         return
     console = Console(file=sys.stdout, soft_wrap=True, highlight=False)
     console.print(f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}", markup=False)
     for size in given.sizes:
         shutil.rmtree(given.out / str(size), ignore_errors=True)
         build(given.out / str(size), given.shapes, size)
-        for name in given.stages:
-            command = [sys.executable, *sys.argv, "--one", f"{name}/{size}"]
+        for name, validated in itertools.product(given.stages, given.validation):
+            command = [sys.executable, *sys.argv, "--one", f"{name}/{size}/{validated}"]
             subprocess.run(command, check=True)
-            row = read_json(given.out / f"{name}-{size}.json")
+            row = read_json(given.out / f"{name}-{size}-{validated}.json")
             line = " | ".join(str(row[column]) for column in COLUMNS)
             console.print(f"| {line} |", markup=False)
 

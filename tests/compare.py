@@ -11,6 +11,8 @@ import torch
 
 _NO_RESULTS = {"manifest.json", "files.csv", "config.yaml", "settings.json"}
 _NO_RESULT_FOLDERS = {"logs", "checkpoints"}
+# How long it took, and whether a cache of what a killed process made had it.
+_NO_RESULT_KEYS = ("seconds", "cached")
 
 
 def results(folder: Path) -> set[str]:
@@ -31,7 +33,7 @@ def different(first: Path, second: Path) -> list[str]:
 
 
 def load(path: Path) -> Any:
-    """The content of a file in a form that compares bit by bit; columns of seconds left out."""
+    """The content of a file in a form that compares bit by bit; `_NO_RESULT_KEYS` left out."""
     if path.suffix == ".npz":
         with np.load(path) as arrays:
             return {
@@ -63,7 +65,11 @@ def _tensors(node: Any) -> Any:
 
 def _timeless(node: Any) -> Any:
     if isinstance(node, dict):
-        return {key: _timeless(value) for key, value in node.items() if "seconds" not in key}
+        return {
+            key: _timeless(value)
+            for key, value in node.items()
+            if not any(word in key for word in _NO_RESULT_KEYS)
+        }
     return [_timeless(value) for value in node] if isinstance(node, list) else node
 
 
