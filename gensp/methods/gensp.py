@@ -120,6 +120,10 @@ class GenSP:
         image: np.ndarray = self.generator(z, at)[0].double().numpy()
         return image
 
+    def place(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Where maps have what the generator has at p: one placement for all shapes."""
+        return p if self.atlas is None else self.atlas.place(p)
+
     def _novelty(self, code: Float[np.ndarray, " d"]) -> dict[str, Any]:
         """How far the code is from those learnt from, where the model knows them."""
         if self.atlas is None:
@@ -153,7 +157,7 @@ class GenSP:
         found = _timed(
             seconds, "invert", lambda: invert(shape.vertices, fitted.mesh, fitted.sphere)
         )
-        predicted = found.sphere
+        predicted = self.place(found.sphere)
         trust = reliability(predicted, shape.faces, found.distance)
         refined = _timed(
             seconds, "refine", lambda: self.refine(shape, predicted, predicted, trust)

@@ -5,8 +5,10 @@ from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
+from gensp.geometry.spherical_map import SphericalMap
 from gensp.models.network import Network
 
 
@@ -23,7 +25,9 @@ class Atlas(Network):
     Attributes
     ----------
     sphere
-        Unit positions (n, 3) of the shared vertices.
+        Unit positions (n, 3) of the shared vertices: where the generator has them.
+    placed
+        Unit positions (n, 3) where maps have them: the same, or what distorts all shapes least.
     triangles
         Shared triangles (m, 3).
     images
@@ -38,6 +42,7 @@ class Atlas(Network):
     """
 
     sphere: Tensor
+    placed: Tensor
     triangles: Tensor
     images: Tensor
     maps: Tensor
@@ -56,6 +61,7 @@ class Atlas(Network):
             "degrees": degrees,
         }
         self.register_buffer("sphere", torch.zeros((vertices, 3)))
+        self.register_buffer("placed", torch.zeros((vertices, 3)))
         self.register_buffer("triangles", torch.zeros((faces, 3), dtype=torch.int32))
         self.register_buffer("images", torch.zeros((shapes, vertices, 3)))
         self.register_buffer("maps", torch.zeros((shapes, vertices, 3)))
@@ -75,12 +81,27 @@ class Atlas(Network):
         sizes = len(images), images.shape[1], len(shared["faces"]), codes.shape[1]
         atlas = cls(*sizes, signals.shape[1])
         atlas.sphere.copy_(torch.tensor(shared["sphere"]))
+        atlas.placed.copy_(atlas.sphere)
         atlas.triangles.copy_(torch.tensor(shared["faces"]))
         atlas.images.copy_(torch.from_numpy(images))
         atlas.maps.copy_(torch.from_numpy(shared["maps"][kept]))
         atlas.signals.copy_(torch.view_as_real(torch.from_numpy(signals)))
         atlas.codes.copy_(codes[kept])
         return atlas
+
+    def place(self, p: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 3"]:
+        """Where maps have what the generator has at unit positions p; the same for all shapes."""
+        if torch.equal(self.placed, self.sphere):
+            return p
+        sphere, faces = self.sphere.double().numpy(), self.triangles.numpy().astype(np.int64)
+        at = SphericalMap(sphere, sphere, faces, "shared surface").locate(p)
+        placed: np.ndarray = at.on(self.placed.double().numpy(), faces)
+        return placed / np.linalg.norm(placed, axis=1, keepdims=True)
+
+    def _load_from_state_dict(self, state: dict[str, Any], prefix: str, *rest: Any) -> None:
+        """Models written before there was a placement have their vertices where they are."""
+        state.setdefault(f"{prefix}placed", state.get(f"{prefix}sphere"))
+        super()._load_from_state_dict(state, prefix, *rest)
 
     def novelty(self, code: Tensor) -> float:
         """Distance of a code (d,) to the nearest kept one, over the median of the kept ones'.

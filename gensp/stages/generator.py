@@ -13,6 +13,7 @@ from gensp.data.items import item_mesh, sphere_mesh
 from gensp.data.shapes import SPHERE
 from gensp.files import load_npz, read_json
 from gensp.geometry.distance import ClosestPointTree
+from gensp.geometry.shared_sphere import place_for_all
 from gensp.geometry.sphere import icosphere
 from gensp.losses import correspondence_loss, coverage_loss, generator_deformation, surface_loss
 from gensp.models import Atlas, Generator, PointNet2Encoder, jacobian, load_model, save_model
@@ -28,7 +29,8 @@ class GeneratorStage(FitStage):
     """What both stages share: the networks, the codes of all items, and what is written.
 
     `shared` are the arrays of the shared surface, where Stage III-a made one; of `kept_shapes`
-    inputs at most the model keeps it.
+    inputs at most the model keeps it. Where it made none, the model keeps the icosphere, and how
+    maps are to be placed (`placement`, of `geometry.shared_sphere.place_for_all`; None: not).
     """
 
     def __init__(
@@ -39,11 +41,12 @@ class GeneratorStage(FitStage):
         learning_rate: float,
         shared: Mapping[str, np.ndarray] | None = None,
         kept_shapes: int = 100,
+        placement: Mapping[str, Any] | None = None,
         seed: int = 0,
         folder: Path | str = Path("."),
     ) -> None:
         super().__init__(learning_rate=learning_rate, seed=seed, folder=folder)
-        self.shared, self.kept_shapes = shared, kept_shapes
+        self.shared, self.kept_shapes, self.placement = shared, kept_shapes, placement
         self.encoder = encoder.train().requires_grad_(False)
         self.generator = generator.train()
         self.encode = CloudCodes(encoder, self.folder)
@@ -81,7 +84,10 @@ class GeneratorStage(FitStage):
         items, rows = self.trainer.datamodule, self._inputs()
         shared = self.shared or items.shared_surface(rows)
         rows = [self.table.rows[str(id)] for id in shared["ids"]]
-        return Atlas.of(shared, codes[rows], limit=self.kept_shapes)
+        atlas = Atlas.of(shared, codes[rows], limit=self.kept_shapes)
+        if self.shared is None and self.placement:
+            _place(atlas, self.placement)
+        return atlas
 
 
 class InitializeStage(GeneratorStage):
@@ -248,6 +254,14 @@ class FinetuneStage(GeneratorStage):
         mine, weight = self.part(len(z))
         metric = jacobian(self.generator, z[mine], p[mine])
         return weight * generator_deformation(metric, self.isometry_weight)
+
+
+def _place(atlas: Atlas, placement: Mapping[str, Any]) -> None:
+    """Put the icosphere's vertices where their images on all shapes are distorted least."""
+    images = atlas.images.double().numpy()
+    sphere, faces = atlas.sphere.double().numpy(), atlas.triangles.numpy().astype(np.int64)
+    found = place_for_all(images, faces, sphere, **placement)
+    atlas.placed.copy_(torch.from_numpy(found.sphere))
 
 
 def shared_surface(folder: Path) -> dict[str, np.ndarray] | None:
