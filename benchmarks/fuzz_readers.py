@@ -99,7 +99,7 @@ def _truth_files(folder: Path) -> list[Path]:
 
 def _sample_files(folder: Path) -> list[Path]:
     cached_samples(BALL, _SAMPLER, 1.5, folder)
-    return list(folder.glob("*.npz"))
+    return list(folder.rglob("*.npz"))
 
 
 def _samples(path: Path) -> None:

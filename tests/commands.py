@@ -83,6 +83,8 @@ def stop_in_the_middle(folder: Path, number: signal.Signals, *words: str) -> tup
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
+        # Programs started in the background ignore SIGINT, and so do theirs.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     try:
         until = time.monotonic() + 120

@@ -1,3 +1,5 @@
+import copy
+
 import numpy as np
 import pytest
 import torch
@@ -6,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from gensp.errors import Unsupported
 from gensp.geometry.guided_registration import MappedShape
 from gensp.geometry.mesh import Mesh, normalize
-from gensp.geometry.sphere import icosphere, unit
+from gensp.geometry.sphere import icosphere, sample_sphere, unit
 from gensp.methods.fitting import Known
 from gensp.methods.guided_fitting import GuidedFit
 from gensp.methods.hierarchical import dirichlet
@@ -97,3 +99,20 @@ def test_an_atlas_travels_with_its_model(atlas: Atlas, tmp_path) -> None:
     again = load_model(tmp_path / "model.pt")["atlas"]
     for name, value in atlas.state_dict().items():
         assert torch.equal(value, again.state_dict()[name])
+
+
+def test_a_turn_as_placement_turns_every_point(atlas: Atlas) -> None:
+    turn = Rotation.random(random_state=0).as_matrix()
+    placed = copy.deepcopy(atlas)
+    placed.placed.copy_(torch.from_numpy(BALL.vertices @ turn.T))
+    points = sample_sphere(50, np.random.default_rng(0))
+    np.testing.assert_allclose(placed.place(points), points @ turn.T, atol=1e-6)
+    assert atlas.place(points) is points
+
+
+def test_a_model_from_before_placements_has_its_vertices_where_they_are(atlas: Atlas) -> None:
+    state = atlas.state_dict()
+    del state["placed"]
+    again = Atlas(**atlas.settings)
+    again.load_state_dict(state)
+    assert torch.equal(again.placed, atlas.sphere)

@@ -47,6 +47,7 @@ ALLOWED["tasks"] = set(ALLOWED) - {"data.modules", "data.training"}
 ALLOWED["terminal"] = CORE | {"machine", "tables", "comparison"}
 ALLOWED["mistakes"] = CORE | {"terminal"}
 ALLOWED["sweeps"] = CORE
+ALLOWED["stopping"] = {"terminal"}
 ALLOWED["configuration"] = CORE | {"runs", "sweeps"}
 ALLOWED["stages"] = set(ALLOWED) - {"mistakes", "configuration"}
 ALLOWED["execution"] = CORE | {"configuration", "machine", "progress", "runs", "stages"}

@@ -11,6 +11,14 @@ import pytest
 from gensp.stopping import one_line_stop
 
 
+@pytest.fixture(autouse=True)
+def _defaults() -> Iterator[None]:
+    """Programs started in the background ignore SIGINT."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_the_block_in_one_line(
     number: signal.Signals, capsys: pytest.CaptureFixture[str]

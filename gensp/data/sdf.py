@@ -86,7 +86,10 @@ class SdfSampler:
 
     def key(self, mesh: Mesh, bound: float) -> str:
         """Name of the samples in a cache: the mesh's content and these settings."""
-        return content_hash(mesh.vertices, mesh.faces, asdict(self), bound)
+        settings = asdict(self)
+        if not self.thinness:  # draws made before there was one stay as they are
+            del settings["thinness"]
+        return content_hash(mesh.vertices, mesh.faces, settings, bound)
 
 
 def sample_path(mesh: Mesh, sampler: SdfSampler, bound: float, cache: Path) -> Path:

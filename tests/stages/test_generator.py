@@ -11,7 +11,9 @@ from lightning.pytorch.callbacks import ModelCheckpoint
 from gensp.data.training import Batching, CorrespondenceModule
 from gensp.files import load_npz, save_npz, write_json
 from gensp.geometry.distance import ClosestPointTree
+from gensp.geometry.distortion import distortion
 from gensp.geometry.mesh import Mesh, normalize
+from gensp.geometry.predicates import bad_faces
 from gensp.geometry.sphere import icosphere
 from gensp.models import (
     AnchoredGenerator,
@@ -49,12 +51,12 @@ def ellipsoids() -> list[Mesh]:
     ]
 
 
-def correspondences(passes: int = 1) -> CorrespondenceModule:
+def correspondences(passes: int = 1, unknown: int = 30) -> CorrespondenceModule:
     meshes = ellipsoids()
     targets = np.stack([mesh.vertices for mesh in meshes])
     valid = np.ones(targets.shape[:2], dtype=bool)
-    valid[:, :30] = False
-    targets[:, :30] = np.nan
+    valid[:, :unknown] = False
+    targets[:, :unknown] = np.nan
     batching = Batching(size=4, points=128, surface_points=64, passes=passes, cloud=128)
     return CorrespondenceModule(meshes, targets, valid, batching=batching)
 
@@ -136,6 +138,23 @@ def test_accumulated_gradients_are_those_of_one_batch(
     expected = gradients(12, 1)
     for one, other in zip(gradients(12 // micro, micro), expected, strict=True):
         torch.testing.assert_close(one, other, rtol=1e-5, atol=1e-6)
+
+
+def test_maps_are_placed_where_all_shapes_are_distorted_least(tmp_path: Path) -> None:
+    stage = initialize_stage(tmp_path)
+    stage.placement = {"energy": "sigma", "floor": 1.0}
+    fit(stage, correspondences(unknown=0), 1).finish()
+    atlas = load_model(tmp_path / "model.pt")["atlas"]
+    sphere, placed = atlas.sphere.double().numpy(), atlas.placed.double().numpy()
+    faces = atlas.triangles.numpy().astype(np.int64)
+
+    def sigma(at: np.ndarray) -> float:
+        images = atlas.images.double().numpy()
+        return float(np.mean([distortion(image, at, faces).mean for image in images]))
+
+    assert sigma(placed) < sigma(sphere) - 0.01
+    assert not bad_faces(placed, faces).any()
+    np.testing.assert_allclose(atlas.place(sphere), placed, atol=1e-6)
 
 
 def test_initialize_leaves_its_encoder_as_it_was_and_scales_codes(tmp_path: Path) -> None:
