@@ -149,7 +149,7 @@ def test_all_stages_give_the_same_from_many_folders(
         with pytest.raises(SystemExit) as ended:
             app()
         assert not ended.value.code
-        assert "parameterize" in capsys.readouterr().out
+        assert len(capsys.readouterr().out.splitlines()) > len(STAGES)
 
 
 def require_alike(ours: Path, theirs: Path) -> None:
