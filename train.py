@@ -25,12 +25,13 @@ def main(cfg: DictConfig) -> float | None:
     """Compose the configuration, run what it names, return the headline metric."""
     # Imported late: --help and misspelt words need none of it.
     from gensp.mistakes import one_line_errors
+    from gensp.ranks import of_several
     from gensp.run import run
     from gensp.stopping import one_line_stop
 
     job = HydraConfig.get()
     sweep = job.mode == RunMode.MULTIRUN
-    with one_line_stop(), one_line_errors(sweep=sweep):
+    with one_line_stop(several=of_several(cfg.trainer)), one_line_errors(sweep=sweep):
         return run(cfg, job.overrides.task, sweep=sweep)
 
 

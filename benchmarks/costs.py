@@ -120,7 +120,7 @@ def augment(out: Path, count: int, vertices: int, samples: Sequence[int]) -> Non
         more = [*words, f"recipe.augment.samples={number}"]
         row = stage_cost(out, f"costs-augment-{number}", "augment", more)
         made = out / f"costs-augment-{number}" / "full" / "augment" / "meshes"
-        kept = len(list(made.glob("*@*.npz")))
+        kept = len(list(made.rglob("*@*.npz")))
         rows.append({**row, **place, "samples": number, "augmentations": kept})
     write_json(out / "augment.json", rows)
 
@@ -133,7 +133,7 @@ def evaluate(out: Path, count: int, vertices: int, partners: Sequence[int]) -> N
     for number in (partners[0], *partners):  # what is compiled or read first counts in none
         more = [*words, *PAPER_PAIRS, f"recipe.evaluate.partners={number}"]
         row = stage_cost(out, "costs-evaluate", "evaluate", more)
-        records = (out / "costs-evaluate" / "full" / "evaluate" / "pairs").glob("*.json")
+        records = (out / "costs-evaluate" / "full" / "evaluate" / "pairs").rglob("*.json")
         found = {(pair["first"], pair["second"]) for path in records for pair in read_json(path)}
         rows.append({**row, "shapes": count, "partners": number, "pairs": len(found)})
     write_json(out / "evaluate.json", rows[1:])

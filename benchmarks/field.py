@@ -23,7 +23,7 @@ from gensp.geometry.distance import closest_point
 from gensp.geometry.isosurface import extract_surface
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.points import sample_surface
-from gensp.geometry.thickness import inner_radii
+from gensp.geometry.thickness import medial_ball_radii
 from gensp.models.implicit import ImplicitField
 from gensp.models.store import load_model
 from gensp.tasks.correspond import is_input
@@ -36,7 +36,7 @@ def gaps(mesh: Mesh, surface: Mesh, count: int) -> np.ndarray:
     """Distances from a shape to a surface: mean, mean and 95 % of its thin parts, largest."""
     at = sample_surface(mesh.face_areas, count, np.random.default_rng(0))
     found = closest_point(at.on(mesh.vertices, mesh.faces), surface).distance
-    radii = inner_radii(mesh)[mesh.faces].mean(axis=1)[at.faces]
+    radii = medial_ball_radii(mesh)[mesh.faces].mean(axis=1)[at.faces]
     thin = found[radii <= np.quantile(radii, THIN)]
     return np.array([found.mean(), thin.mean(), np.quantile(thin, 0.95), found.max()])
 

@@ -39,7 +39,7 @@ from gensp.models.generator import DirectGenerator
 from gensp.models.store import load_model, save_model
 from gensp.pretrained import FITS
 from gensp.pretrained.ship import entry_of
-from gensp.progress import begin, restart
+from gensp.restarts import begin, restart
 from gensp.runs import Run, seal
 from gensp.stages.callbacks import WholeCheckpoints
 

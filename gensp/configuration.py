@@ -109,12 +109,14 @@ def settings_of(cfg: DictConfig, inputs: Mapping[str, Run]) -> dict[str, Any]:
     trainer: Any = OmegaConf.to_container(bare.trainer, resolve=True)
     data = _without_workers(OmegaConf.to_container(bare.data, resolve=True))
     _one_batch(data, trainer)
+    stage: Any = OmegaConf.to_container(bare.stage, resolve=True)
+    _without_off(stage.get("module") or {}, data, paired=cfg.correspond.name == "paired")
     # Left out while it is off, as in runs that were made before it was a setting.
     compiled = {"compile": True} if cfg.compile and cfg.stage.verb == "fit" else {}
     # Only stages whose work names the collection read its files; the others see it by `inputs`.
     reads = "collection" in (cfg.data.get("task") or {})
     return {
-        "stage": OmegaConf.to_container(bare.stage, resolve=True),
+        "stage": stage,
         "data": data,
         "trainer": {key: trainer.get(key) for key in _TRAINER_SCIENCE},
         **compiled,
@@ -122,6 +124,17 @@ def settings_of(cfg: DictConfig, inputs: Mapping[str, Run]) -> dict[str, Any]:
         "shapes": made(cfg.shapes).fingerprint if reads else None,
         "inputs": {name: found.outputs for name, found in inputs.items()},
     }
+
+
+def _without_off(module: dict[str, Any], data: dict[str, Any], *, paired: bool) -> None:
+    """Leave out what is off, as in runs that were made before these were settings."""
+    sampler = data.get("sampler") or {}
+    for table, key in ((module, "tolerance"), (sampler, "thinness")):
+        if table.get(key) == 0:
+            del table[key]
+    # Paired surfaces were placed by Stage III-a; the trainings after it place nothing.
+    if paired and "PairedStage" not in str(module.get("_target_")):
+        module.pop("placement", None)
 
 
 def placed(cfg: DictConfig) -> DictConfig:

@@ -12,7 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from gensp.configuration import made, placed
 from gensp.files import write_text
 from gensp.machine import first_process, forget_peak_memory
-from gensp.progress import Progress, begin
+from gensp.restarts import Progress, begin
 from gensp.runs import Run
 from gensp.stages.callbacks import WholeCheckpoints
 from gensp.stages.session import carry_out, close, conclude, environments, gather, quiet, threads

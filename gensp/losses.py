@@ -15,6 +15,7 @@ from gensp.geometry.levelset import implicit_deformation_ratio
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.reduced import Cover
 
+NORMS = ("l2", "l1", "clamped")
 CLAMP = 0.1  # lengths of the unit sphere; DeepSDF's
 
 

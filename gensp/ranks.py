@@ -23,6 +23,11 @@ def started_outside() -> str | None:
     return "slurm" if "SLURM_NTASKS" in os.environ and not at_hand else None
 
 
+def of_several(trainer: Mapping[str, Any]) -> bool:
+    """Whether this process is, or may be, one of several ranks."""
+    return started_outside() is not None or _processes(trainer) != 1
+
+
 def require_startable(trainer: Mapping[str, Any], *, stage: str, sweep: bool) -> None:
     """Refuse a trainer whose ranks nobody starts, or whose ranks would repeat the wrong thing.
 

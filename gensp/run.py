@@ -16,8 +16,8 @@ from gensp.data.raw import require_apart, require_rule
 from gensp.errors import OutputError
 from gensp.machine import first_process
 from gensp.occupancy import occupied
-from gensp.progress import Progress, clear, require_own, restart, tidy
 from gensp.ranks import require_startable
+from gensp.restarts import Progress, clear, require_own, restart, tidy
 from gensp.runs import Run, Runs
 from gensp.sweeps import named
 from gensp.terminal import announce, say, show_methods, show_variants

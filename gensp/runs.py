@@ -2,7 +2,7 @@
 
 `runs/<experiment>/<variant>/<stage>/` is complete when it holds `manifest.json`, which is
 written last and seals `files.csv`, the list of its files. `settings.json` is written first, so
-that an interrupted run can be told from a run of other settings: see `gensp.progress`.
+that an interrupted run can be told from a run of other settings: see `gensp.restarts`.
 """
 
 from collections.abc import Iterator, Mapping

@@ -5,7 +5,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -19,14 +19,16 @@ _AGAIN = 0.1  # seconds until a signal that was lost is sent anew
 
 
 @contextmanager
-def one_line_stop() -> Iterator[None]:
+def one_line_stop(*, several: bool = False) -> Iterator[None]:
     """End on SIGTERM or SIGINT with one line and exit code 128 + signal, like a shell.
 
     Lightning alone would note a SIGTERM and go on to the end of the items, and to the next stage;
-    it keeps a handler that it finds. Nothing is lost: items and checkpoints are written by rename.
-    A signal that is ignored (nohup), or handled by a launcher of jobs, stays so.
+    it calls a handler that it finds after its own. Nothing is lost: items and checkpoints are
+    written by rename. A signal that is ignored (nohup), or handled by a launcher of jobs, stays
+    so, and so do those of ranks: their launcher, or Lightning, ends all of them.
     """
     ours = [number for number, own in _DEFAULTS.items() if signal.getsignal(number) == own]
+    ours = [] if several else ours
     hook = sys.unraisablehook
     stop = _Stop(hook)
     sys.unraisablehook = stop.retried
@@ -54,10 +56,12 @@ class _Stop:
         self.again = threading.Timer(_AGAIN, lambda: None)
 
     def __call__(self, number: int, frame: FrameType | None) -> NoReturn:
-        if not self.number:
-            name = signal.Signals(number).name
-            complain(f"stopped by {name}; the same command goes on from here")
-        self.number = number
+        first, self.number = not self.number, number
+        # Another line may be half written: then that line is what is told.
+        with suppress(RuntimeError):
+            if first:
+                name = signal.Signals(number).name
+                complain(f"stopped by {name}; the same command goes on from here")
         raise SystemExit(128 + number)
 
     def retried(self, lost: Any) -> None:

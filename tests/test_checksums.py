@@ -23,7 +23,7 @@ from gensp.checksums import (
 )
 from gensp.errors import DamagedFile
 from gensp.files import content_hash, read_json, write_json
-from gensp.progress import begin
+from gensp.restarts import begin
 from gensp.runs import Run, seal
 
 SETTINGS = {"stage": {"name": "augment"}, "seed": 0}

@@ -13,7 +13,7 @@ from trying import Trying
 
 from gensp.compute import Row, finished_row, row_path, run_items, stored_rows
 from gensp.errors import BadMesh, GenSPError, OutputError
-from gensp.progress import tidy
+from gensp.restarts import tidy
 from gensp.sharing import WorkerDied, Workers, shared_out
 
 ITEMS = ["a", "b@3", "c/d"]

@@ -18,7 +18,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from gensp.configuration import settings_of
 from gensp.geometry.guided_registration import PATIENT
-from gensp.progress import differences
+from gensp.restarts import differences
 
 CONF = ROOT / "conf"
 

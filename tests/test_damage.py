@@ -19,7 +19,7 @@ from gensp.errors import DamagedFile, RunInUse, TrainingDiverged
 from gensp.files import load_npz, read_json, read_rows, save_npz
 from gensp.geometry.mesh import Mesh, save_mesh
 from gensp.occupancy import occupied
-from gensp.progress import begin, clear, restart
+from gensp.restarts import begin, clear, restart
 from gensp.sharing import Workers
 from gensp.stages.base import FitStage
 from gensp.stages.callbacks import WholeCheckpoints
@@ -28,7 +28,7 @@ HOLDER = """
 import sys, time
 from pathlib import Path
 from gensp.occupancy import occupied
-from gensp.progress import begin, clear, restart
+from gensp.restarts import begin, clear, restart
 with occupied(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(60)

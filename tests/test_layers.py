@@ -33,7 +33,7 @@ ALLOWED = {
     "tables": CORE,
     "pictures": CORE | {"layout", "geometry", "tables"},
 }
-ALLOWED["progress"] = CORE | {"runs", "checksums"}
+ALLOWED["restarts"] = CORE | {"runs", "checksums"}
 ALLOWED["clusters"] = CORE | {"sharing"}
 ALLOWED["job_arrays"] = CORE | {"sharing", "clusters"}
 ALLOWED["ranks"] = CORE
@@ -50,7 +50,7 @@ ALLOWED["sweeps"] = CORE
 ALLOWED["stopping"] = {"terminal"}
 ALLOWED["configuration"] = CORE | {"runs", "sweeps"}
 ALLOWED["stages"] = set(ALLOWED) - {"mistakes", "configuration"}
-ALLOWED["execution"] = CORE | {"configuration", "machine", "progress", "runs", "stages"}
+ALLOWED["execution"] = CORE | {"configuration", "machine", "restarts", "runs", "stages"}
 ALLOWED["run"] = set(ALLOWED)
 # For one mesh: beside the stages, neither imports the other.
 ALLOWED["api"] = CORE | {"geometry", "methods", "pretrained"}

@@ -8,7 +8,7 @@ import pytest
 from gensp.checksums import FILES, listing
 from gensp.errors import MissingStage, OutputError, StaleRun
 from gensp.files import write_json
-from gensp.progress import Progress, begin, clear, differences, restart
+from gensp.restarts import Progress, begin, clear, differences, restart
 from gensp.runs import CHECKPOINT, MANIFEST, Run, Runs, seal
 
 SETTINGS = {"stage": {"name": "implicit", "rate": 0.1, "sizes": (1, 2)}, "seed": 0}

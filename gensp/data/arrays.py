@@ -5,7 +5,7 @@ They are written one mesh at a time, so writing needs no more memory than drawin
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, overload
 
@@ -97,7 +97,7 @@ class TrainingArrays:
             distances = (pool.distances for pool in pools())
             write_rows(folder / "distances.npy", distances, shape, np.float32)
 
-        return self._stored("samples", write, asdict(sampler), bound)
+        return self._stored("samples", write, sampler.settings, bound)
 
     def images(
         self,

@@ -82,7 +82,7 @@ class ItemsModule(LightningDataModule):
 
     def prepare_data(self) -> None:
         """Decide where the items' files lie, on one rank, which alone knows of all items."""
-        lay_out(self.folder, len(self.items))
+        lay_out(self.folder, len(self.items) * getattr(self.task, "files_each", 1))
 
     def predict_dataloader(self) -> DataLoader[Row]:
         """The share of this rank, one finished row at a time."""

@@ -13,7 +13,7 @@ from gensp.geometry.distance import signed_distance
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.points import sample_surface
 from gensp.geometry.sphere import sample_sphere
-from gensp.geometry.thickness import inner_radii
+from gensp.geometry.thickness import medial_ball_radii
 from gensp.layout import keyed_path
 
 _DENSEST = 10.0
@@ -63,7 +63,7 @@ class SdfSampler:
     def _weights(self, mesh: Mesh) -> Float[np.ndarray, " m"]:
         if not self.thinness:
             return mesh.face_areas
-        radii = inner_radii(mesh)[mesh.faces].mean(axis=1)
+        radii = medial_ball_radii(mesh)[mesh.faces].mean(axis=1)
         # Creases have balls as small as their triangles: no place takes all samples.
         relative = np.clip(np.median(radii) / radii, 1 / _DENSEST, _DENSEST)
         return mesh.face_areas * relative**self.thinness
@@ -84,12 +84,14 @@ class SdfSampler:
         # Rounded first, so that the stored distance is that of the stored point.
         return np.concatenate([around, anywhere]).astype(np.float32)
 
+    @property
+    def settings(self) -> dict[str, float]:
+        """What decides a draw; without `thinness` while it is 0, as before there was one."""
+        return {name: value for name, value in asdict(self).items() if name != "thinness" or value}
+
     def key(self, mesh: Mesh, bound: float) -> str:
         """Name of the samples in a cache: the mesh's content and these settings."""
-        settings = asdict(self)
-        if not self.thinness:  # draws made before there was one stay as they are
-            del settings["thinness"]
-        return content_hash(mesh.vertices, mesh.faces, settings, bound)
+        return content_hash(mesh.vertices, mesh.faces, self.settings, bound)
 
 
 def sample_path(mesh: Mesh, sampler: SdfSampler, bound: float, cache: Path) -> Path:

@@ -10,12 +10,13 @@ _ROUNDS = 30  # balls shrink geometrically; on meshes of this project they rest 
 _REST = 1 - 1e-9
 
 
-def inner_radii(mesh: Mesh) -> Float[np.ndarray, " n"]:
-    """Radius of the largest ball that touches every vertex from inside, no other vertex in it.
+def medial_ball_radii(mesh: Mesh) -> Float[np.ndarray, " n"]:
+    """Radii (n,) of the largest balls that touch the surface at its vertices from inside.
 
-    At most half of the local thickness, and at most the radius of curvature of a convex place:
-    small on limbs, on tips and along ridges. By shrinking balls (Ma, Bae and Choi 2012). Too small
-    by up to 15 % on smooth meshes, at any size: a neighbour's depth is like its normal's error.
+    No other vertex lies in them. Faces must look outward. A radius is at most half of the local
+    thickness, and at most the radius of curvature of a convex place: small on limbs, on tips and
+    along ridges. By shrinking balls (Ma, Bae and Choi 2012). Too small by up to 15 % on smooth
+    meshes, at any size: a neighbour's depth is like its normal's error.
     """
     points, normals = mesh.vertices, mesh.vertex_normals
     tree = cKDTree(points)

@@ -157,7 +157,7 @@ class GenSP:
         found = _timed(
             seconds, "invert", lambda: invert(shape.vertices, fitted.mesh, fitted.sphere)
         )
-        predicted = self.place(found.sphere)
+        predicted = _timed(seconds, "place", lambda: self.place(found.sphere))
         trust = reliability(predicted, shape.faces, found.distance)
         refined = _timed(
             seconds, "refine", lambda: self.refine(shape, predicted, predicted, trust)

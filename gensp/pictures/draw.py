@@ -65,7 +65,7 @@ def morph_strips(material: Material) -> list[Path]:
         raise NotDrawn("this method has no generator")
     size = material.strip_tile
     rows = sheets.together(
-        lambda named: sheets.morph_tiles(named[1], named[0], material.view, size),
+        lambda named: sheets.morph_tiles(named[1], named[0], material.view, size, material.place),
         material.morphs.items(),
         material.options.jobs,
     )
@@ -101,9 +101,9 @@ def prediction_strips(material: Material) -> list[Path]:
         generated = load_npz(files[name]).get("generated")
         if generated is None:
             raise NotDrawn("the predictions hold no generated surface")
-        surface = generated.astype(np.float64)
-        size = material.strip_tile
-        rows.append(sheets.prediction_tiles(material.maps[name], surface, material.view, size))
+        pair = material.maps[name], generated.astype(np.float64)
+        look = material.view, material.strip_tile, material.place
+        rows.append(sheets.prediction_tiles(*pair, *look))
     return [_strips(material, rows, "predictions", "Generated surfaces", "input, g(·, z), map")]
 
 
@@ -188,6 +188,7 @@ def draw_all(
     method: str = "",
     summary: Mapping[str, Any] | None = None,
     morphs: Mapping[str, Sequence[Mesh]] | None = None,
+    place: sheets.Place = sheets.unmoved,
     settings: Mapping[str, Any] | None = None,
     options: PictureOptions | None = None,
 ) -> Drawn:
@@ -196,8 +197,7 @@ def draw_all(
     Parameters
     ----------
     folder
-        The evaluation's folder; its shapes.csv is read for captions if it is there. Written are
-        pictures/*.png, pictures/shapes/<id>.png and report.html.
+        The evaluation's, with shapes.csv for captions; gets pictures/ and report.html.
     runs
         Folders of the stages of this run; "parameterize" is required, others may be absent.
     splits
@@ -208,6 +208,8 @@ def draw_all(
         The evaluation's figures, as written to summary.json.
     morphs
         For a few shapes the generator's surfaces g(t·z), on an icosphere's triangles.
+    place
+        Where maps have the generator's points of the sphere (`gensp.models.atlas.Atlas.place`).
     settings
         The configuration, shown in the page.
 
@@ -216,12 +218,23 @@ def draw_all(
     MissingStage
         There is not one map to draw.
     """
-    options = options or PictureOptions()
     title, maps = " · ".join(filter(None, (collection, method))), _maps(runs, splits)
-    material = Material(folder, runs, splits, title, summary, morphs or {}, options, maps)
+    material = Material(
+        folder,
+        runs,
+        splits,
+        title,
+        summary,
+        morphs or {},
+        options or PictureOptions(),
+        maps,
+        place,
+    )
     pictures, not_drawn = _all_kinds(material)
     page = _page(material, pictures, not_drawn, settings or {})
-    report = write_report(page, folder / "report.html", turning_faces=options.turning_faces)
+    report = write_report(
+        page, folder / "report.html", turning_faces=material.options.turning_faces
+    )
     return Drawn(pictures, report, not_drawn)
 
 

@@ -78,6 +78,7 @@ class Material:
     morphs: Mapping[str, Sequence[Mesh]]
     options: PictureOptions
     maps: Mapping[str, SphericalMap] = field(default_factory=dict)
+    place: sheets.Place = sheets.unmoved
 
     @property
     def pictures(self) -> Path:

@@ -19,6 +19,8 @@ from gensp.geometry.spherical_map import SphericalMap
 from gensp.pictures.montage import Tile, colour_bar, grid, resized, rows_of
 from gensp.pictures.render import Scene, View
 
+Place = Callable[[np.ndarray], np.ndarray]
+
 CLAY = np.array([0.78, 0.76, 0.74])
 FOLDED = np.array([0.05, 0.15, 0.75])
 SIGMA_RANGE = (1.0, 8.0)
@@ -137,9 +139,19 @@ def map_strip(
     return grid(tiles, len(tiles))
 
 
-def morph_tiles(meshes: Sequence[Mesh], name: str, view: View, size: int) -> list[Tile]:
-    """g(t·z) for t from 0 to 1, at one scale: the sphere grows into the shape."""
-    p = icosphere(icosphere_level(meshes[0].faces)).vertices
+def unmoved(p: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 3"]:
+    """The generator's sphere is that of the maps."""
+    return p
+
+
+def morph_tiles(
+    meshes: Sequence[Mesh], name: str, view: View, size: int, place: Place = unmoved
+) -> list[Tile]:
+    """g(t·z) for t from 0 to 1, at one scale: the sphere grows into the shape.
+
+    `place` gives the place of the generator's points on the sphere of the maps.
+    """
+    p = place(icosphere(icosphere_level(meshes[0].faces)).vertices)
     view = view.fitted(*(mesh.vertices for mesh in meshes))
     last = max(1, len(meshes) - 1)
     return [
@@ -192,9 +204,16 @@ def flow_tiles(
 
 
 def prediction_tiles(
-    map: SphericalMap, generated: Float[np.ndarray, "k 3"], view: View, size: int
+    map: SphericalMap,
+    generated: Float[np.ndarray, "k 3"],
+    view: View,
+    size: int,
+    place: Place = unmoved,
 ) -> list[Tile]:
-    """The input, the surface that the generator makes of it, and the input in its final map."""
+    """The input, the surface that the generator makes of it, and the input in its final map.
+
+    `place` as in `morph_tiles`.
+    """
     count = len(generated)
     ball = icosphere(round(np.log((count - 2) / 10) / np.log(4)))
     shape = Scene(map.mesh, view.fitted(map.surface), size, closed=True)
@@ -202,7 +221,7 @@ def prediction_tiles(
     clay = np.broadcast_to(CLAY, map.surface.shape)
     return [
         Tile(shape.by_vertex(clay), map.name, "input"),
-        Tile(made.textured(ball.vertices), "generated surface", " "),
+        Tile(made.textured(place(ball.vertices)), "generated surface", " "),
         Tile(shape.textured(map.sphere), "final map", " "),
     ]
 

@@ -12,8 +12,9 @@ from gensp.data.shapes import ShapeCollection
 from gensp.files import read_json, read_rows, write_json, write_text
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import icosphere
-from gensp.models import load_model
+from gensp.models import Atlas, load_model
 from gensp.pictures import PictureOptions, draw_all
+from gensp.pictures.sheets import Place, unmoved
 from gensp.runs import SETTINGS, Run
 from gensp.stages.base import ItemStage, write_table
 from gensp.stages.summary import Record, summarize, without_nan
@@ -126,9 +127,17 @@ class EvaluateStage(ItemStage):
             method=self.names["variant"],
             summary=summary,
             morphs=self._morphs(self.pictures.chosen(splits), self.pictures.frames),
+            place=self._place(),
             settings=read_json(stored)["settings"] if stored.is_file() else {},
             options=self.pictures,
         )
+
+    def _place(self) -> Place:
+        """Where maps have the generator's points of the sphere."""
+        if "finetune" not in self.runs:
+            return unmoved
+        atlas = load_model(self.runs["finetune"] / "model.pt").get("atlas")
+        return atlas.place if isinstance(atlas, Atlas) else unmoved
 
     def _morphs(self, ids: Sequence[str], frames: int) -> dict[str, list[Mesh]]:
         """The generator's surfaces g(t·z) between the sphere and some shapes."""

@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from gensp.data.batches import SdfBatch
-from gensp.errors import BadMesh, EmptyLevelSet
+from gensp.errors import BadMesh, EmptyLevelSet, Unsupported
 from gensp.geometry.levelset import extract_surface
 from gensp.geometry.reduced import Cover, deformation_cover
-from gensp.losses import encoder_penalty, implicit_deformation, origin_penalty, sdf_loss
+from gensp.losses import NORMS, encoder_penalty, implicit_deformation, origin_penalty, sdf_loss
 from gensp.models import ImplicitField, PointNet2Encoder, save_model
 from gensp.stages.base import FitStage
 from gensp.stages.latents import CloudCodes, CodeTable, draws, save_codes
@@ -76,6 +76,11 @@ class ImplicitStage(FitStage):
         Whether and from which epoch on Eq. 5 takes part.
     sampling
         How its level sets are sampled.
+
+    Raises
+    ------
+    Unsupported
+        The norm is none of these.
     """
 
     def __init__(
@@ -98,6 +103,9 @@ class ImplicitStage(FitStage):
     ) -> None:
         super().__init__(learning_rate=learning_rate, seed=seed, folder=folder)
         self.encoder, self.field = encoder, field
+        if norm not in NORMS:
+            known = ", ".join(NORMS)
+            raise Unsupported(f"recipe.implicit.norm={norm}: one of {known} is required")
         self.norm, self.tolerance, self.penalize = norm, tolerance, penalize
         self.encoder_weight, self.origin_weight = encoder_weight, origin_weight
         self.deformation_weight = deformation_weight
@@ -140,8 +148,8 @@ class ImplicitStage(FitStage):
         return loss
 
     def _tolerance(self) -> float:
-        done = 2 * self.current_epoch / (self.trainer.max_epochs or 1)
-        return self.tolerance * max(0.0, 1 - done)
+        done = self.global_step / self.trainer.estimated_stepping_batches
+        return self.tolerance * max(0.0, 1 - 2 * done)
 
     def _weights(self) -> Tensor:
         return torch.cat([weight.flatten() for weight in self.encoder.parameters()])

@@ -57,13 +57,13 @@ class PairedStage(ItemStage):
         *,
         task: RegisterPair,
         level: int,
-        placement: Mapping[str, Any],
+        placement: Mapping[str, Any] | None,
         max_failures: int = 0,
         workers: Workers | None = None,
         folder: Path | str = Path("."),
     ) -> None:
         super().__init__(table="edges", max_failures=max_failures, folder=folder)
-        self.task, self.level, self.placement = task, level, dict(placement)
+        self.task, self.level, self.placement = task, level, dict(placement or {})
         self.workers = workers or Workers()
 
     @classmethod
@@ -145,6 +145,8 @@ class PairedStage(ItemStage):
         """The shared surface on the sphere."""
         root = next(iter(images))
         start = self.task.shape(root).map
+        if not self.placement:
+            return SphericalMap(start.sphere, start.surface, start.faces, root)
         stack = np.stack(list(images.values()))
         found = place_for_all(stack, start.faces, start.sphere, **self.placement)
         return SphericalMap(found.sphere, start.surface, start.faces, root)

@@ -67,6 +67,11 @@ class AugmentTask:
         row |= {"input_remeshed": remeshed, **self._augment(item, mesh)}
         return row | {"seconds": round(time.perf_counter() - start, 3)}
 
+    @property
+    def files_each(self) -> int:
+        """Meshes of one shape: its own and its samples, all in one folder."""
+        return 1 + self.samples
+
     def _augment(self, item: str, mesh: Mesh) -> Row:
         try:
             rest = normalize(simplify(mesh, self.flow_vertices))

@@ -12,7 +12,7 @@ import pytest
 from gensp.catalogue import compared, find_runs
 from gensp.errors import MissingData
 from gensp.geometry.mesh import Mesh, save_mesh
-from gensp.progress import begin
+from gensp.restarts import begin
 from gensp.runs import seal
 
 Run = Callable[..., tuple[int, str, str]]
