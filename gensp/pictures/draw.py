@@ -199,13 +199,11 @@ def draw_all(
     folder
         The evaluation's, with shapes.csv for captions; gets pictures/ and report.html.
     runs
-        Folders of the stages of this run; "parameterize" is required, others may be absent.
+        Folders of the stages of this run; "parameterize" is required.
     splits
         Split of every shape, in the order of the sheets; shapes without a map are left out.
-    collection, method
-        Words for the titles.
-    summary
-        The evaluation's figures, as written to summary.json.
+    collection, method, summary
+        Words for the titles, and the figures of summary.json.
     morphs
         For a few shapes the generator's surfaces g(t·z), on an icosphere's triangles.
     place
@@ -218,23 +216,12 @@ def draw_all(
     MissingStage
         There is not one map to draw.
     """
+    options = options or PictureOptions()
     title, maps = " · ".join(filter(None, (collection, method))), _maps(runs, splits)
-    material = Material(
-        folder,
-        runs,
-        splits,
-        title,
-        summary,
-        morphs or {},
-        options or PictureOptions(),
-        maps,
-        place,
-    )
+    material = Material(folder, runs, splits, title, summary, morphs or {}, options, maps, place)
     pictures, not_drawn = _all_kinds(material)
     page = _page(material, pictures, not_drawn, settings or {})
-    report = write_report(
-        page, folder / "report.html", turning_faces=material.options.turning_faces
-    )
+    report = write_report(page, folder / "report.html", turning_faces=options.turning_faces)
     return Drawn(pictures, report, not_drawn)
 
 
