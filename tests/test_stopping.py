@@ -13,10 +13,12 @@ from gensp.stopping import one_line_stop
 
 @pytest.fixture(autouse=True)
 def _defaults() -> Iterator[None]:
-    """Programs started in the background ignore SIGINT."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    """Programs in the background ignore SIGINT; trainings of other tests may leave a handler."""
+    defaults = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+    before = {number: signal.signal(number, own) for number, own in defaults.items()}
     yield
-    signal.signal(signal.SIGINT, before)
+    for number, own in before.items():
+        signal.signal(number, own)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
