@@ -75,11 +75,12 @@ def kill_in_the_middle(folder: Path, *words: str) -> None:
 
 
 def stop_in_the_middle(folder: Path, number: signal.Signals, *words: str) -> tuple[int, str]:
-    """Start a stage, send a signal once something of it is on the disk; exit code and stderr."""
+    """Start a stage, send it and its workers a signal, as terminals do; exit code and stderr."""
     process = subprocess.Popen(
         command(*words),
         cwd=ROOT,
         env=environment(),
+        start_new_session=True,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
@@ -90,7 +91,7 @@ def stop_in_the_middle(folder: Path, number: signal.Signals, *words: str) -> tup
         until = time.monotonic() + 120
         while not begun(folder) and process.poll() is None and time.monotonic() < until:
             time.sleep(0.002)
-        process.send_signal(number)
+        os.killpg(process.pid, number)
         _, said = process.communicate(timeout=60)
     finally:
         process.kill()

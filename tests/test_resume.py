@@ -39,13 +39,13 @@ def test_a_killed_stage_goes_on(stage: str, smoke: Path, smoke_copy: Path) -> No
     assert different(folder, smoke / "smoke" / "full" / stage) == []
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize(("number", "jobs"), [(signal.SIGTERM, 1), (signal.SIGINT, 2)])
 def test_a_stopped_stage_says_so_in_one_line_and_goes_on(
-    number: signal.Signals, smoke: Path, smoke_copy: Path
+    number: signal.Signals, jobs: int, smoke: Path, smoke_copy: Path
 ) -> None:
     folder = smoke_copy / "smoke" / "full" / "augment"
     shutil.rmtree(folder)
-    words = (*smoke_words(smoke_copy), "stage=augment", "workers.jobs=1")
+    words = (*smoke_words(smoke_copy), "stage=augment", f"workers.jobs={jobs}")
     code, said = stop_in_the_middle(folder, number, *words)
     assert (code, said) == (128 + number, _stopped_by(number))
     assert not (folder / "manifest.json").exists()
