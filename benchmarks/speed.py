@@ -3,10 +3,10 @@
 OMP_NUM_THREADS=1 python benchmarks/speed.py [names]     # prints a Markdown table
 """
 
+import argparse
 import importlib
 import os
 import platform
-import sys
 
 from rich.console import Console
 from rich.progress import track
@@ -35,8 +35,13 @@ def processor() -> str:
     return names[0] if names else platform.machine()
 
 
-def main(names: list[str]) -> None:
+def main() -> None:
     """Measure one after the other, in this process."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", help=f"of {', '.join(BENCHMARKS)}; none: all")
+    names = parser.parse_args().names
+    if unknown := set(names) - set(BENCHMARKS):
+        parser.error(f"{', '.join(sorted(unknown))}: one of {', '.join(BENCHMARKS)} is required")
     rows: list[dict[str, object]] = []
     progress = Console(stderr=True)
     for name in track(names or list(BENCHMARKS), "measuring", console=progress):
@@ -45,4 +50,4 @@ def main(names: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()
