@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gensp.cli.options import Method, Model, Out, Register
+from gensp.errors import OutputError
 
 if TYPE_CHECKING:
     from gensp.geometry.spherical_map import SphericalMap
@@ -43,6 +44,7 @@ def parameterize(
 
     found = chosen_method(method, model, register)
     surface = sound_mesh(mesh)
+    _require_other(mesh, out / f"{surface.name}.ply")
     compile_announced()
     began = time.perf_counter()
     with progress(surface.name):
@@ -56,6 +58,15 @@ def parameterize(
     if geometry_image is not None:
         paths += _write_image(map, out, geometry_image)
     two_columns(map.name, [*_figures(map, seconds), written(paths)])
+
+
+def _require_other(mesh: Path, written: Path) -> None:
+    """Refuse to write the map over the mesh that it is of, whose colours would be lost."""
+    if written.resolve() == mesh.resolve():
+        raise OutputError(
+            f"{mesh}: would be overwritten by its map; another folder is required; "
+            "add --out FOLDER"
+        )
 
 
 def _figures(map: "SphericalMap", seconds: float) -> list[tuple[str, str]]:

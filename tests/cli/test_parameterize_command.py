@@ -16,7 +16,7 @@ import gensp as package
 from gensp.errors import BadMesh, Unsupported
 from gensp.export.textured import write_textured
 from gensp.geometry.certificate import certify
-from gensp.geometry.mesh import Mesh, load_mesh, require_genus_zero
+from gensp.geometry.mesh import Mesh, load_mesh, require_genus_zero, save_mesh
 from gensp.geometry.spherical_map import SphericalMap, load_map
 from gensp.geometry.wavefront import read_obj
 from gensp.pictures.texture import equirectangular_picture
@@ -96,6 +96,18 @@ def test_folder_that_cannot_be_written(refused: Refused, bumpy_file: Path) -> No
     line = refused("parameterize", bumpy_file, "--out", bumpy_file / "below")
     assert "cannot be written" in line
     assert "paths.runs" not in line
+
+
+def test_a_mesh_is_not_overwritten_by_its_map(
+    refused: Refused, bumpy: Mesh, tmp_path: Path
+) -> None:
+    path = tmp_path / "cow.ply"
+    save_mesh(bumpy, path)
+    before = path.read_bytes()
+    said = refused("parameterize", path, "--out", tmp_path)
+    assert "would be overwritten by its map" in said
+    assert "--out FOLDER" in said
+    assert path.read_bytes() == before
 
 
 def test_arrays(bumpy: Mesh) -> None:
