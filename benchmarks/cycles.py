@@ -18,16 +18,14 @@ from pathlib import Path
 
 import joblib
 import numpy as np
-from images import error, settled
+from images import error, paired_task, settled
 from scipy.stats import spearmanr
 
 from gensp.compute import stored_rows
 from gensp.data.shapes import ShapeCollection
 from gensp.geometry.correspondence import carry
 from gensp.geometry.distance import closest_point
-from gensp.geometry.guided_registration import PATIENT
 from gensp.geometry.points import SurfacePoints, sample_surface
-from gensp.geometry.registration import Acceptance, RegistrationSettings
 from gensp.geometry.registration_graph import least_strained_tree
 from gensp.stages.pairing import PairedStage
 from gensp.tasks.pairing import RegisterPair
@@ -143,16 +141,7 @@ def main() -> None:
     for name in ("augment", "implicit", "correspond", "collection"):
         parser.add_argument(name, type=Path)
     chosen = parser.parse_args()
-    task = RegisterPair(
-        augment=chosen.augment,
-        implicit=chosen.implicit,
-        folder=chosen.correspond,
-        neighbours=0,
-        guides=0,
-        settings=RegistrationSettings(schedule=PATIENT),
-        acceptance=Acceptance(),
-        settle_from=SETTLED_FROM,
-    )
+    task = paired_task(chosen, SETTLED_FROM)
     collection = ShapeCollection.from_folder(chosen.collection)
     graph = Graph(task)
     edges = list(graph.strains)

@@ -87,23 +87,27 @@ def settled(
     return {id: found.vertices for id, found in zip(starts, registered, strict=True)}
 
 
+def paired_task(chosen: argparse.Namespace, settle_from: float) -> RegisterPair:
+    """The registrations that a finished stage correspond=paired has kept."""
+    return RegisterPair(
+        augment=chosen.augment,
+        implicit=chosen.implicit,
+        folder=chosen.correspond,
+        neighbours=0,
+        guides=0,
+        settings=RegistrationSettings(schedule=PATIENT),
+        acceptance=Acceptance(),
+        settle_from=settle_from,
+    )
+
+
 def main() -> None:
     """Print a row for every tree and first stiffness."""
     parser = argparse.ArgumentParser(description=__doc__)
     for name in ("augment", "implicit", "correspond", "collection"):
         parser.add_argument(name, type=Path)
     chosen = parser.parse_args()
-    settings = RegistrationSettings(schedule=PATIENT)
-    task = RegisterPair(
-        augment=chosen.augment,
-        implicit=chosen.implicit,
-        folder=chosen.correspond,
-        neighbours=0,
-        guides=0,
-        settings=settings,
-        acceptance=Acceptance(),
-        settle_from=STIFFEST[0],
-    )
+    task = paired_task(chosen, STIFFEST[0])
     stage = PairedStage(task=task, level=4, folder=chosen.correspond)
     collection = ShapeCollection.from_folder(chosen.collection)
     sys.stdout.write("| tree | depth | then | error |\n|---|--:|---|--:|\n")

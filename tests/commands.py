@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from filelock import FileLock
@@ -66,9 +67,7 @@ def kill_in_the_middle(folder: Path, *words: str) -> None:
         stderr=subprocess.DEVNULL,
     )
     try:
-        until = time.monotonic() + 120
-        while not begun(folder) and process.poll() is None and time.monotonic() < until:
-            time.sleep(0.002)
+        _wait_until_begun(process, folder)
     finally:
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
@@ -88,14 +87,18 @@ def stop_in_the_middle(folder: Path, number: signal.Signals, *words: str) -> tup
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     try:
-        until = time.monotonic() + 120
-        while not begun(folder) and process.poll() is None and time.monotonic() < until:
-            time.sleep(0.002)
+        _wait_until_begun(process, folder)
         os.killpg(process.pid, number)
         _, said = process.communicate(timeout=60)
     finally:
         process.kill()
     return process.returncode, said
+
+
+def _wait_until_begun(process: subprocess.Popen[Any], folder: Path) -> None:
+    until = time.monotonic() + 120
+    while not begun(folder) and process.poll() is None and time.monotonic() < until:
+        time.sleep(0.002)
 
 
 def begun(folder: Path) -> bool:

@@ -94,11 +94,11 @@ class GuidedFit:
             {k: partial(self._registered, start, coarse) for k, start in enumerate(starts)}
         ).best
         sphere = atlas.sphere.double().numpy()
-        return SurfaceOnSphere(Mesh(best.vertices, _triangles(atlas), mesh.name), sphere)
+        return SurfaceOnSphere(Mesh(best.vertices, atlas.faces, mesh.name), sphere)
 
     def _near(self, known: Known, atlas: Atlas) -> list[Start]:
         """The generated surface, and known shapes of nearest codes."""
-        own = Mesh(known.generate(atlas.sphere.double().numpy()), _triangles(atlas), "generated")
+        own = Mesh(known.generate(atlas.sphere.double().numpy()), atlas.faces, "generated")
         gaps = np.linalg.norm(atlas.codes.numpy() - known.code, axis=1)
         nearest = np.argsort(gaps, kind="stable")[: self.neighbours]
         shapes = [own, *(known_shapes(atlas)[k].mesh for k in nearest)]
@@ -133,17 +133,12 @@ class GuidedFit:
 @lru_cache(maxsize=1)
 def known_shapes(atlas: Atlas) -> list[MappedShape]:
     """The shapes that a model learnt from, with their own maps."""
-    faces = _triangles(atlas)
+    faces = atlas.faces
     pairs = zip(atlas.images.double().numpy(), atlas.maps.double().numpy(), strict=True)
     return [
         MappedShape(SphericalMap(map, image, faces, f"shape {k}"))
         for k, (image, map) in enumerate(pairs)
     ]
-
-
-def _triangles(atlas: Atlas) -> np.ndarray:
-    triangles: np.ndarray = atlas.triangles.numpy().astype(np.int64)
-    return triangles
 
 
 def _required(atlas: Atlas | None) -> Atlas:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from gensp.geometry.spherical_map import SphericalMap
@@ -89,13 +89,19 @@ class Atlas(Network):
         atlas.codes.copy_(codes[kept])
         return atlas
 
+    @property
+    def faces(self) -> Int[np.ndarray, "m 3"]:
+        """The shared triangles, as meshes have them."""
+        faces: np.ndarray = self.triangles.numpy().astype(np.int64)
+        return faces
+
     def place(self, p: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 3"]:
         """Where maps have what the generator has at unit positions p; the same for all shapes."""
         if torch.equal(self.placed, self.sphere):
             return p
-        sphere, faces = self.sphere.double().numpy(), self.triangles.numpy().astype(np.int64)
-        at = SphericalMap(sphere, sphere, faces, "shared surface").locate(p)
-        placed: np.ndarray = at.on(self.placed.double().numpy(), faces)
+        sphere = self.sphere.double().numpy()
+        at = SphericalMap(sphere, sphere, self.faces, "shared surface").locate(p)
+        placed: np.ndarray = at.on(self.placed.double().numpy(), self.faces)
         return placed / np.linalg.norm(placed, axis=1, keepdims=True)
 
     def _load_from_state_dict(self, state: dict[str, Any], prefix: str, *rest: Any) -> None:

@@ -1,6 +1,7 @@
 """Evaluation: distortion, consistency and coverage of the maps, the table and the pictures."""
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
@@ -13,6 +14,7 @@ from gensp.files import read_json, read_rows, write_json, write_text
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import icosphere
 from gensp.models import Atlas, load_model
+from gensp.models.network import Network
 from gensp.pictures import PictureOptions, draw_all
 from gensp.pictures.sheets import Place, unmoved
 from gensp.runs import SETTINGS, Run
@@ -132,18 +134,23 @@ class EvaluateStage(ItemStage):
             options=self.pictures,
         )
 
+    @cached_property
+    def _networks(self) -> dict[str, Network]:
+        """The model whose maps these are; none of a method that learns nothing."""
+        if "finetune" not in self.runs:
+            return {}
+        return load_model(self.runs["finetune"] / "model.pt")
+
     def _place(self) -> Place:
         """Where maps have the generator's points of the sphere."""
-        if "finetune" not in self.runs:
-            return unmoved
-        atlas = load_model(self.runs["finetune"] / "model.pt").get("atlas")
+        atlas = self._networks.get("atlas")
         return atlas.place if isinstance(atlas, Atlas) else unmoved
 
     def _morphs(self, ids: Sequence[str], frames: int) -> dict[str, list[Mesh]]:
         """The generator's surfaces g(t·z) between the sphere and some shapes."""
-        if "finetune" not in self.runs:
+        if "generator" not in self._networks:
             return {}
-        generator = load_model(self.runs["finetune"] / "model.pt")["generator"].eval()
+        generator = self._networks["generator"].eval()
         codes = {id: self._code(id) for id in ids}
         return {
             id: morph(generator, code, frames) for id, code in codes.items() if code is not None

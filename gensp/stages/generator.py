@@ -259,8 +259,8 @@ class FinetuneStage(GeneratorStage):
 def _place(atlas: Atlas, placement: Mapping[str, Any]) -> None:
     """Put the icosphere's vertices where their images on all shapes are distorted least."""
     images = atlas.images.double().numpy()
-    sphere, faces = atlas.sphere.double().numpy(), atlas.triangles.numpy().astype(np.int64)
-    found = place_for_all(images, faces, sphere, **placement)
+    sphere = atlas.sphere.double().numpy()
+    found = place_for_all(images, atlas.faces, sphere, **placement)
     atlas.placed.copy_(torch.from_numpy(found.sphere))
 
 
