@@ -17,7 +17,7 @@ from gensp.files import atomic_path
 from gensp.geometry.mesh import FORMATS, load_mesh, require_genus_zero
 from gensp.geometry.sphere import icosphere
 from gensp.geometry.spherical_map import load_map
-from gensp.layout import item_folder
+from gensp.layout import item_file
 from gensp.methods.table import DEFAULT, per_shape
 
 Row = dict[str, object]
@@ -47,7 +47,7 @@ def line(path: Path, method: str, maps: Path | None) -> Row:
 
 
 def _kept(maps: Path, id: str) -> Path:
-    return item_folder(maps.parent, maps.name, id) / f"{id}.npz"
+    return item_file(maps.parent, maps.name, id)
 
 
 def growth(rows: list[Row]) -> str:

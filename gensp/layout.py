@@ -57,6 +57,11 @@ def item_folder(folder: Path, kind: str, item: str) -> Path:
     return folder / kind / digest[:digits]
 
 
+def item_file(folder: Path, kind: str, item: str, end: str = ".npz") -> Path:
+    """The file of one kind that an item has; see `item_folder`."""
+    return item_folder(folder, kind, item) / f"{item}{end}"
+
+
 def item_files(folder: Path, kind: str, end: str) -> list[Path]:
     """The files of all items of one kind, by name, whatever the layout."""
     digits = _digits(folder)

@@ -11,7 +11,7 @@ from gensp.errors import DamagedFile, MissingStage
 from gensp.files import load_npz, read_json
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import icosphere
-from gensp.layout import item_folder
+from gensp.layout import item_file
 
 _SPHERE_LEVEL = 5
 
@@ -72,7 +72,7 @@ def training_items(
 
 def item_path(folder: Path | str, item: str) -> Path:
     """Where the mesh of an item is kept."""
-    return item_folder(Path(folder), "meshes", item) / f"{item}.npz"
+    return item_file(Path(folder), "meshes", item)
 
 
 def item_mesh(folder: Path | str, item: str) -> Mesh:

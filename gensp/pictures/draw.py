@@ -12,7 +12,7 @@ from gensp.errors import MissingStage
 from gensp.files import load_npz, read_json
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.spherical_map import SphericalMap, load_map
-from gensp.layout import item_folder
+from gensp.layout import item_file
 from gensp.pictures import sheets
 from gensp.pictures.curves import error_curves, loss_curves, read_history, save_figure
 from gensp.pictures.latent import latent_map
@@ -53,7 +53,7 @@ def single_shapes(material: Material) -> list[Path]:
     return [
         save_png(
             sheets.map_strip(drawn, material.sphere, name, material.notes.get(name, " ")),
-            item_folder(material.folder, "pictures/shapes", name) / f"{name}.png",
+            item_file(material.folder, "pictures/shapes", name, ".png"),
         )
         for name, drawn in material.drawn_maps.items()
     ]
@@ -239,7 +239,7 @@ def _all_kinds(material: Material) -> tuple[dict[str, list[Path]], dict[str, str
 
 def _maps(runs: Mapping[str, Path], splits: Mapping[str, str]) -> dict[str, SphericalMap]:
     folder = runs["parameterize"]
-    files = {name: item_folder(folder, "maps", name) / f"{name}.npz" for name in splits}
+    files = {name: item_file(folder, "maps", name) for name in splits}
     maps = {name: load_map(path) for name, path in files.items() if path.is_file()}
     if not maps:
         raise MissingStage(

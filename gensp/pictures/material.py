@@ -12,7 +12,7 @@ from gensp.errors import GenSPError
 from gensp.files import read_rows
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.spherical_map import SphericalMap
-from gensp.layout import item_folder
+from gensp.layout import item_file
 from gensp.pictures import sheets
 from gensp.pictures.montage import Tile
 from gensp.pictures.render import View, look
@@ -150,7 +150,7 @@ class Material:
             As of `artefact`, for the folder of all of them.
         """
         folder = self.artefact(stage, kind).parent
-        return {name: item_folder(folder, kind, name) / f"{name}.npz" for name in self.splits}
+        return {name: item_file(folder, kind, name) for name in self.splits}
 
 
 def _note(row: Mapping[str, str]) -> str:

@@ -12,14 +12,14 @@ from gensp.geometry.consistency import coverage
 from gensp.geometry.correspondence import Correspondence
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import icosphere_of
-from gensp.layout import item_folder
+from gensp.layout import item_file
 from gensp.tasks.correspond import is_input
 from gensp.terminal import warn
 
 
 def write_image(folder: Path, id: str, found: Correspondence, mesh: Mesh, depth: int) -> Row:
     """Write a shape's correspondences; a row that tells how much of the shape they reach."""
-    path = item_folder(folder, "correspondences", id) / f"{id}.npz"
+    path = item_file(folder, "correspondences", id)
     save_npz(path, points=found.points, valid=found.valid)
     image = Mesh(found.points, icosphere_of(len(found.points)).faces, id)
     gaps = coverage(mesh, image)

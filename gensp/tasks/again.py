@@ -18,7 +18,7 @@ from gensp.geometry.correspondence import Correspondence
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.registration import register
 from gensp.geometry.sphere import icosphere_of
-from gensp.layout import item_folder
+from gensp.layout import item_file
 from gensp.sharing import Workers
 from gensp.tasks.correspond import RegisterEdge, judged
 
@@ -108,4 +108,4 @@ class RegisterAgain:
         return placed(registered, icosphere_of(len(registered)).faces, self.task.mesh(id))
 
     def _path(self, id: str) -> Path:
-        return item_folder(self.folder, "images", id) / f"{id}.npz"
+        return item_file(self.folder, "images", id)

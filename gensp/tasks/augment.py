@@ -17,7 +17,7 @@ from gensp.files import content_hash, save_npz
 from gensp.geometry.flow import Flow, StepSchedule, cmcf, flow_score
 from gensp.geometry.mesh import Mesh, normalize, simplify
 from gensp.geometry.remesh import sound_mesh
-from gensp.layout import item_folder
+from gensp.layout import item_file
 
 SPLITS = ("train", "val")
 
@@ -103,7 +103,7 @@ class AugmentTask:
 
     def _save_flow(self, item: str, flow: Flow, step: StepSchedule, score: float) -> None:
         save_npz(
-            item_folder(self.folder, "flows", item) / f"{item}.npz",
+            item_file(self.folder, "flows", item),
             vertices=flow.vertices.astype(np.float32),
             faces=flow.faces,
             times=flow.times,

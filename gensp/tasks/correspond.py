@@ -25,7 +25,7 @@ from gensp.geometry.registration import (
 )
 from gensp.geometry.spanning_tree import Tree, ancestors, spanning_tree
 from gensp.geometry.sphere import icosphere
-from gensp.layout import item_folder
+from gensp.layout import item_file
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,7 @@ class RegisterEdge:
 
 def edge_path(folder: Path, child: str) -> Path:
     """Where the registered edge to `child` is kept."""
-    return item_folder(folder, "edges", child) / f"{child}.npz"
+    return item_file(folder, "edges", child)
 
 
 def _diagnostics(attempts: Attempts) -> Row:

@@ -17,7 +17,7 @@ from gensp.geometry.consistency import coverage
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import icosphere_of
 from gensp.geometry.spherical_map import SphericalMap, load_map
-from gensp.layout import item_folder
+from gensp.layout import item_file
 from gensp.runs import Run
 from gensp.tasks.pairs import EvaluatedMap, Record, pair_records
 
@@ -112,17 +112,17 @@ def _coverage(name: str, mesh: Mesh, surface: Mesh) -> Row:
 
 def map_path(parameterize: Path, id: str) -> Path:
     """Where the map of a shape is kept."""
-    return item_folder(parameterize, "maps", id) / f"{id}.npz"
+    return item_file(parameterize, "maps", id)
 
 
 def pairs_path(folder: Path, id: str) -> Path:
     """Where the pairs that a shape answers for are kept."""
-    return item_folder(folder, "pairs", id) / f"{id}.json"
+    return item_file(folder, "pairs", id, ".json")
 
 
 def prediction(parameterize: Path, id: str) -> dict[str, np.ndarray]:
     """The arrays that a map started from; nothing where its method predicts nothing."""
-    path = item_folder(parameterize, "predictions", id) / f"{id}.npz"
+    path = item_file(parameterize, "predictions", id)
     return load_npz(path) if path.is_file() else {}
 
 

@@ -18,7 +18,7 @@ from gensp.geometry.guided_registration import Guided, MappedShape, register_gui
 from gensp.geometry.neighbour_pairs import agreeing_pairs, nearest_pairs, star_pairs
 from gensp.geometry.registration import Acceptance, RegistrationSettings
 from gensp.geometry.spherical_map import SphericalMap
-from gensp.layout import item_folder, lay_out
+from gensp.layout import item_file, item_folder, lay_out
 from gensp.methods.hierarchical import dirichlet
 from gensp.tasks.correspond import is_input
 
@@ -154,7 +154,7 @@ def pair_path(folder: Path, parent: str, child: str) -> Path:
 def _shape(augment: Path, folder: Path, id: str) -> MappedShape:
     """A shape with its map; the map is kept with the digest of the mesh that it belongs to."""
     mesh = item_mesh(augment, id)
-    path = item_folder(folder, "guides", id) / f"{id}.npz"
+    path = item_file(folder, "guides", id)
     return _mapped(path, content_hash(mesh.vertices, mesh.faces), augment, id)
 
 

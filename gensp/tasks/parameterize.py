@@ -13,7 +13,7 @@ from gensp.compute import Row
 from gensp.data.shapes import ShapeCollection
 from gensp.files import save_npz
 from gensp.geometry.spherical_map import save_map
-from gensp.layout import item_folder
+from gensp.layout import item_file, item_folder
 from gensp.methods import SphericalParameterization
 from gensp.methods.hierarchical import compile_loops
 
@@ -40,7 +40,7 @@ class Parameterize:
         compiling = compile_loops()
         map = _method(pickle.dumps(self.make))(mesh)
         if map.arrays:
-            save_npz(item_folder(self.folder, "predictions", id) / f"{id}.npz", **map.arrays)
+            save_npz(item_file(self.folder, "predictions", id), **map.arrays)
         save_map(map, item_folder(self.folder, "maps", id))
         timed = {**map.diagnostics, "seconds_compile": compiling}
         numbers = {key: _plain(value) for key, value in timed.items()}

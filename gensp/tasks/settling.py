@@ -15,7 +15,7 @@ from gensp.errors import RegistrationFailed
 from gensp.files import load_npz, save_npz
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.registration import register
-from gensp.layout import item_folder
+from gensp.layout import item_file
 from gensp.tasks.correspond import judged
 from gensp.tasks.pairing import RegisterPair
 
@@ -89,4 +89,4 @@ class Settle:
         return vertices
 
     def _path(self, id: str) -> Path:
-        return item_folder(self.folder, "images", id) / f"{id}.npz"
+        return item_file(self.folder, "images", id)
