@@ -8,6 +8,8 @@ import typer
 from gensp.cli.options import Align, Method, Model, Out, Register
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from gensp.cli.pairs import Pair
     from gensp.geometry.matching import Matching
 
@@ -24,8 +26,8 @@ def match(
     """Say where every vertex of each shape lies on the other.
 
     Writes <a>_to_<b>.npz and .csv, and the same from b to a: face,
-    barycentric weights, position, and a reliability in [0, 1], the inverse
-    of both maps' distortion there.
+    barycentric weights, position, and a reliability in [0, 1]: 1 where the
+    surroundings of the vertex keep their size and shape, less where not.
     """
     from gensp.cli.pairs import pair_of
     from gensp.cli.terminal import two_columns, written
@@ -39,10 +41,16 @@ def match(
     paths = _write(there, pair, out / f"{first}_to_{second}")
     paths += _write(back, pair, out / f"{second}_to_{first}")
     rows = [
-        (f"{name}: reliability", f"mean {found.reliability.mean():.3f}")
+        (f"{name}: reliability", _spread(found.reliability))
         for name, found in ((f"{first} → {second}", there), (f"{second} → {first}", back))
     ]
     two_columns(f"{first} and {second}", [*rows, written(paths)])
+
+
+def _spread(values: "np.ndarray") -> str:
+    import numpy as np
+
+    return f"mean {values.mean():.2f}, a tenth below {np.quantile(values, 0.1):.2f}"
 
 
 def _write(found: "Matching", pair: "Pair", stem: Path) -> list[Path]:

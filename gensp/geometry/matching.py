@@ -50,10 +50,10 @@ def matching(
 ) -> Matching:
     """Send every vertex of a shape through the sphere to another, m_b⁻¹(R m_a(x)).
 
-    The reliability of a vertex is 1/(σ_a σ_b): σ_a is the isometric distortion (paper §5.1) of the
-    source's map at the vertex, the area-weighted mean of its faces', σ_b that of the target's map
-    at the image. It is 1 where both maps are isometries, and falls where one of them stretches or
-    shrinks, for there a small shift on the sphere is a large one on a shape.
+    The reliability of a vertex is 1/σ of the map from shape to shape: σ its isometric distortion
+    (paper §5.1), 1/σ at a vertex the area-weighted mean over its faces. Like parts of like shapes
+    have nearly the same size, so a match that is right is nearly an isometry; a leg on a trunk is
+    far from one. What both maps stretch alike does not count.
 
     Parameters
     ----------
@@ -65,20 +65,24 @@ def matching(
     """
     image = source.sphere if rotation is None else source.sphere @ rotation.T
     at = target.locate(image)
-    there = vertex_reliability(target) * _or_one(weights[1])
-    reached = at.on(there[:, None], target.faces)[:, 0]
-    reliability = vertex_reliability(source) * _or_one(weights[0]) * reached
-    return Matching(at, at.on(target.surface, target.faces), np.clip(reliability, 0, 1))
+    positions = at.on(target.surface, target.faces)
+    reliability = nearness_to_isometry(source, positions)
+    if weights[0] is not None:
+        reliability = reliability * weights[0]
+    if weights[1] is not None:
+        reliability = reliability * at.on(weights[1][:, None], target.faces)[:, 0]
+    return Matching(at, positions, np.clip(reliability, 0, 1))
 
 
-def _or_one(values: Float[np.ndarray, " n"] | None) -> Float[np.ndarray, " n"] | float:
-    return 1.0 if values is None else values
+def nearness_to_isometry(
+    map: SphericalMap, positions: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, " n"]:
+    """1/σ at the vertices of a shape that is sent to `positions`, both at area 4π.
 
-
-def vertex_reliability(map: SphericalMap) -> Float[np.ndarray, " n"]:
-    """1/σ at the vertices: the area-weighted mean over their faces of the distortion's inverse."""
-    sigma = isometric_distortion(singular_values(map.surface, map.sphere, map.faces))
-    return at_vertices(map, 1 / sigma)
+    The area-weighted mean over the faces at a vertex; a face that collapses counts as 0.
+    """
+    values = singular_values(map.surface, positions, map.faces)
+    return at_vertices(map, 1 / isometric_distortion(values))
 
 
 def at_vertices(map: SphericalMap, values: Float[np.ndarray, " m"]) -> Float[np.ndarray, " n"]:
