@@ -226,7 +226,7 @@ def _row_files(folder: Path) -> list[Path]:
 
 def _config_files(folder: Path) -> list[Path]:
     """What a parameterization leaves of its configuration."""
-    target = f"gensp.methods.fitting.{FITS['register'].__name__}"
+    target = FITS["register"]
     config = {
         "method": {
             "name": "gensp",

@@ -103,18 +103,20 @@ def load(model: Path | str, *, register: bool | None = None, **settings: Any) ->
     Unsupported
         The file is no model of gensp.
     """
-    from gensp.methods.fitting import NoFit, RegisterFit
-    from gensp.methods.gensp import GenSP
-    from gensp.methods.refinement import CertifiedRefinement
     from gensp.pretrained import shipped
 
     models = shipped()
     known = models.get(str(model))
+    # A wrong name is told before torch is loaded, which takes seconds.
     if known is None and not Path(model).is_file():
         raise MissingStage(
             f"{model}: does not exist; a trained model.pt or a model of the package "
             f"({', '.join(sorted(models))}) is required; run python train.py stage=finetune"
         )
+    from gensp.methods.fitting import NoFit, RegisterFit
+    from gensp.methods.gensp import GenSP
+    from gensp.methods.refinement import CertifiedRefinement
+
     chosen = (
         {"fit": NoFit(), "refine": CertifiedRefinement()} if known is None else known.settings()
     )

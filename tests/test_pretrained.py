@@ -1,4 +1,5 @@
 import json
+from pkgutil import resolve_name
 
 import numpy as np
 import pytest
@@ -19,6 +20,14 @@ def test_every_file_has_its_entry_and_is_small() -> None:
     assert {path.stem for path in FOLDER.glob("*.pt")} == set(NAMES)
     for name in NAMES:
         assert (FOLDER / f"{name}.pt").stat().st_size <= LARGEST
+
+
+def test_kinds_of_fits_are_classes() -> None:
+    assert [resolve_name(FITS[kind]).__name__ for kind in ("none", "register", "guided")] == [
+        "NoFit",
+        "RegisterFit",
+        "GuidedFit",
+    ]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -49,7 +58,7 @@ def test_shipping_copies_the_model_and_how_it_is_used(
     monkeypatch: pytest.MonkeyPatch, tmp_path
 ) -> None:
     known, maps = shipped()[NAMES[0]], tmp_path / "maps"
-    target = f"gensp.methods.fitting.{FITS['register'].__name__}"
+    target = FITS["register"]
     config = {
         "method": {
             "name": "gensp",

@@ -1,5 +1,6 @@
 """What the commands read: sound meshes, maps, methods."""
 
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from gensp.cli.terminal import compile_announced, progress
 from gensp.errors import DamagedFile, NotGenusZero, UnreadableMesh, Unsupported
 from gensp.files import load_npz
 from gensp.geometry.diagnosis import diagnose, repair_command
-from gensp.geometry.mesh import Mesh, load_mesh
+from gensp.geometry.mesh import FORMATS, Mesh, load_mesh
 from gensp.geometry.spherical_map import SphericalMap
 from gensp.methods import SphericalParameterization
 
@@ -44,11 +45,16 @@ def read_map(path: Path) -> SphericalMap:
     Raises
     ------
     UnreadableMesh
-        No such file, no npz, or arrays that are no spherical map.
+        No such file, a mesh, no npz, or arrays that are no spherical map.
     """
     if not path.is_file():
         raise UnreadableMesh(
             f"{path}: does not exist; a map is required; write it with gensp parameterize"
+        )
+    if path.suffix.lower() in FORMATS:
+        raise UnreadableMesh(
+            f"{path}: is a mesh; its map, an npz, is required; type: "
+            f"{shlex.join(['gensp', 'parameterize', str(path)])}"
         )
     try:
         arrays = load_npz(path)

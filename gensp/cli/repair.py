@@ -4,7 +4,7 @@ import shlex
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gensp.cli.terminal import two_columns, written
+from gensp.cli.terminal import progress, two_columns, written
 from gensp.errors import BadMesh, NotGenusZero, Unsupported
 from gensp.export.polygons import write_ply
 from gensp.export.wavefront import write_obj
@@ -46,13 +46,17 @@ def mended(
             f"{path}: {left} left after mending; one closed surface of genus 0 is required; "
             f"type: {words}"
         ) from error
-    return Mended(mesh, found.mesh, {step: str(count) for step, count in found.steps.items()})
+    steps = {step: str(count) for step, count in found.steps.items()}
+    if found.dropped:
+        steps["area of the dropped parts"] = f"{found.dropped:.1%} of all parts'"
+    return Mended(mesh, found.mesh, steps)
 
 
 def _remeshed(path: Path, mesh: Mesh, resolution: int, vertices: int) -> Mended:
     from gensp.geometry.solid import solid_surface
 
-    solid = solid_surface(mesh, resolution=resolution, vertices=vertices)
+    with progress(mesh.name):
+        solid = solid_surface(mesh, resolution=resolution, vertices=vertices)
     require_genus_zero(solid.mesh, max_faces=max(MAX_FACES, len(solid.mesh.faces)))
     steps = {"remeshed on a grid of": f"{resolution} cells"}
     if solid.radius:

@@ -75,14 +75,21 @@ def load_mesh(path: Path | str) -> Mesh:
         The file is missing, empty, damaged, of another format, or holds no triangles.
     """
     path = Path(path)
+    if path.is_dir():
+        raise UnreadableMesh(f"{path}: is a folder; one mesh is required; name a file in it")
     if path.suffix.lower() not in FORMATS:
         raise UnreadableMesh(
             f"{path}: format '{path.suffix}' is not read; one of {', '.join(FORMATS)} is "
             "required; convert the file"
         )
-    if not path.is_file() or path.stat().st_size == 0:
-        found = "is empty" if path.is_file() else "does not exist"
-        raise UnreadableMesh(f"{path}: {found}; a triangle mesh is required; remove or replace it")
+    if not path.is_file():
+        raise UnreadableMesh(
+            f"{path}: does not exist; a triangle mesh is required; correct the path"
+        )
+    if path.stat().st_size == 0:
+        raise UnreadableMesh(
+            f"{path}: is empty; a triangle mesh is required; remove or replace it"
+        )
     try:
         vertices, faces = read_obj(path) if path.suffix.lower() == ".obj" else _read(path)
     # Readers of damaged files raise whatever their parser met; the file is at fault in each case.

@@ -21,10 +21,11 @@ from gensp.geometry.submesh import kept, tidy
 
 @dataclass(frozen=True)
 class Repaired:
-    """A mended mesh, and how much of what was done to it."""
+    """A mended mesh, how much of what was done to it, and the dropped parts' share of the area."""
 
     mesh: Mesh
     steps: dict[str, int]
+    dropped: float = 0.0
 
 
 Step = Callable[[Mesh], tuple[Mesh, int]]
@@ -75,9 +76,12 @@ def repair(
     for kind, words, step in _FIRST:
         mesh = _counted(counts, words, *step(mesh)) if kind in steps else mesh
     _require_possible(mesh)
+    dropped = 0.0
     for kind, words, step in _then(bounding_diagonal(mesh), weld, largest_hole):
+        whole = mesh.area
         mesh = _counted(counts, words, *step(mesh)) if kind in steps else mesh
-    return Repaired(mesh, {words: count for words, count in counts.items() if count})
+        dropped = 1 - mesh.area / whole if kind == "components" else dropped
+    return Repaired(mesh, {words: count for words, count in counts.items() if count}, dropped)
 
 
 def require_steps(steps: Collection[str], *, more: Collection[str] = ()) -> None:

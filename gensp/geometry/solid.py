@@ -18,6 +18,7 @@ from gensp.errors import DegenerateMesh, EmptyLevelSet, NotGenusZero
 from gensp.geometry.distance import ClosestPointTree
 from gensp.geometry.isosurface import extract_surface
 from gensp.geometry.mesh import Mesh
+from gensp.geometry.progress import tell
 from gensp.geometry.repair import bounding_diagonal
 
 Field = Callable[[Float[np.ndarray, "k 3"]], Float[np.ndarray, " k"]]
@@ -25,6 +26,9 @@ Field = Callable[[Float[np.ndarray, "k 3"]], Float[np.ndarray, " k"]]
 # Radii of the closing in diagonals, tried in turn; the first is none.
 RADII = (0.0, 0.01, 0.02, 0.04, 0.07, 0.11, 0.16, 0.24, 0.35, 0.55, 0.9)
 _COARSE = 40
+# Vertices of the grown solid: it is nowhere rounder than its radius, and points at the centre of a
+# ball are as near to all of its triangles.
+_GROWN = 10_000
 _SHEET = 8.0  # cells: how far the winding number alone places the surface
 
 
@@ -101,6 +105,8 @@ def _least_radius(mesh: Mesh, resolution: int) -> float:
 
 def _surface(mesh: Mesh, radius: float, resolution: int, vertices: int | None) -> Mesh:
     """Outer surface of the solid, closed by a radius in diagonals."""
+    closing = f", handles closed by a ball of {radius:g} diagonals" if radius else ""
+    tell(f"surface on a grid of {resolution} cells{closing}")
     cell = float(np.ptp(mesh.vertices, axis=0).max()) / resolution
     field = _enclosed(mesh, _SHEET * cell)
     if radius > 0:
@@ -132,7 +138,8 @@ def _grown(distance: Field, mesh: Mesh, radius: float, resolution: int) -> Close
     def field(points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
         return distance(points) - radius
 
-    return ClosestPointTree(_level_set(field, mesh, resolution, None, margin=1.2 * radius))
+    surface = _level_set(field, mesh, resolution, _GROWN, margin=1.2 * radius)
+    return ClosestPointTree(surface)
 
 
 def _closed(inside: Field, grown: ClosestPointTree, radius: float) -> Field:

@@ -4,18 +4,22 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 from gensp.errors import Unsupported
 from gensp.files import read_json
-from gensp.methods.fitting import NoFit, RegisterFit
-from gensp.methods.guided_fitting import GuidedFit
 from gensp.methods.refinement import CertifiedRefinement
 
 FOLDER = Path(__file__).parent
 TABLE = FOLDER / "models.json"
 LARGEST = 8_000_000  # bytes of one file
-FITS = {"none": NoFit, "register": RegisterFit, "guided": GuidedFit}
+# Kinds of fits and where their classes are: they need torch, and a list of names does not.
+FITS = {
+    "none": "gensp.methods.fitting.NoFit",
+    "register": "gensp.methods.fitting.RegisterFit",
+    "guided": "gensp.methods.guided_fitting.GuidedFit",
+}
 
 
 @dataclass(frozen=True)
@@ -66,7 +70,7 @@ class Shipped:
         return {
             **self.method,
             "novel": self.novel,
-            "fit": FITS[self.fit["kind"]](**arguments),
+            "fit": resolve_name(FITS[self.fit["kind"]])(**arguments),
             "refine": CertifiedRefinement(**self.refine),
         }
 

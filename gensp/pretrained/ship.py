@@ -15,7 +15,7 @@ from gensp.methods.refinement import CertifiedRefinement
 from gensp.models import load_model
 from gensp.pretrained import FITS, FOLDER, LARGEST, TABLE, Shipped, digest
 
-_KINDS = {f"{cls.__module__}.{cls.__name__}": kind for kind, cls in FITS.items()}
+_KINDS = {target: kind for kind, target in FITS.items()}
 _CERTIFIED = f"{CertifiedRefinement.__module__}.{CertifiedRefinement.__name__}"
 _REFINE = ("pull", "energy", "floor", "max_iterations", "tolerance", "crowding")
 

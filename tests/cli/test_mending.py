@@ -157,18 +157,28 @@ def test_large_holes_stay_open(bumpy: Mesh) -> None:
     require_genus_zero(closed)
 
 
+def _with_second(vertices: np.ndarray) -> Mesh:
+    """A ball, and another one in the same mesh."""
+    faces = np.concatenate([BALL.faces, BALL.faces + len(vertices)])
+    return Mesh(np.concatenate([BALL.vertices, vertices]), faces)
+
+
+def test_dropped_parts_are_told_by_their_area() -> None:
+    """A ball with half the radius has a fourth of the area."""
+    found = repair(_with_second(BALL.vertices / 2 + 3))
+    assert found.steps["parts dropped"] == 1
+    assert found.dropped == pytest.approx(0.2)
+
+
 def test_nothing_left_is_told() -> None:
     with pytest.raises(BadMesh, match="no triangle with an area is left"):
         repair(Mesh(np.full((4, 3), np.nan), np.array([[0, 1, 2], [1, 2, 3]])))
 
 
 def test_parts_that_overlap_become_one() -> None:
-    second = BALL.vertices + np.array([1.2, 0, 0])
-    both = Mesh(
-        np.concatenate([BALL.vertices, second]),
-        np.concatenate([BALL.faces, BALL.faces + len(second)]),
+    solid = solid_surface(
+        _with_second(BALL.vertices + np.array([1.2, 0, 0])), resolution=40, vertices=1500
     )
-    solid = solid_surface(both, resolution=40, vertices=1500)
     require_genus_zero(solid.mesh)
     assert solid.radius == 0
     # Two caps of height 0.4 of unit balls are shared.

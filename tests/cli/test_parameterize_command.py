@@ -19,6 +19,7 @@ from gensp.geometry.certificate import certify
 from gensp.geometry.mesh import Mesh, load_mesh, require_genus_zero, save_mesh
 from gensp.geometry.spherical_map import SphericalMap, load_map
 from gensp.geometry.wavefront import read_obj
+from gensp.methods.table import PER_SHAPE
 from gensp.pictures.texture import equirectangular_picture
 
 
@@ -96,6 +97,17 @@ def test_folder_that_cannot_be_written(refused: Refused, bumpy_file: Path) -> No
     line = refused("parameterize", bumpy_file, "--out", bumpy_file / "below")
     assert "cannot be written" in line
     assert "paths.runs" not in line
+
+
+def test_what_is_no_mesh_is_told_by_what_it_is(refused: Refused, tmp_path: Path) -> None:
+    assert "is a folder; one mesh is required" in refused("parameterize", tmp_path)
+    line = refused("parameterize", tmp_path / "none.obj")
+    assert "does not exist; a triangle mesh is required; correct the path" in line
+
+
+def test_help_names_every_method(gensp: Run) -> None:
+    said = gensp("parameterize", "--help")[1]
+    assert not [name for name in PER_SHAPE if name not in said]
 
 
 def test_a_mesh_is_not_overwritten_by_its_map(

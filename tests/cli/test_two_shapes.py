@@ -145,6 +145,13 @@ def test_view_writes_a_page_without_network(gensp: Run, map_file: Path, tmp_path
     assert "https://" not in text
 
 
+def test_view_of_a_mesh_says_how_to_get_its_map(refused: Refused, bumpy_file: Path) -> None:
+    line = refused("view", bumpy_file)
+    assert (
+        f"is a mesh; its map, an npz, is required; type: gensp parameterize {bumpy_file}" in line
+    )
+
+
 def _maps(folder: Path, map: SphericalMap) -> dict[str, Path]:
     """Files that are no maps, each for its own reason."""
     arrays = {"vertices": map.surface, "faces": map.faces, "sphere": map.sphere}
