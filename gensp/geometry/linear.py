@@ -1,21 +1,20 @@
 """Sparse symmetric positive definite systems, factored once or once per change of values.
 
 Up to about ten thousand unknowns a simplicial L D Lᵀ whose symbolic analysis is kept (qdldl) is
-fastest; above, dense blocks pay and a supernodal LU on a nested-dissection order wins.
+fastest; above, dense blocks pay (`multifrontal`).
 """
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import qdldl
 import scipy.sparse as sp
-import scipy.sparse.linalg
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-SUPERNODAL_FROM = 15_000
-_LEAF = 24
+MULTIFRONTAL_FROM = 15_000  # unknowns
 
 
+@runtime_checkable
 class _Factor(Protocol):
     def refactor(self, values: np.ndarray) -> None: ...
 
@@ -31,8 +30,7 @@ class SPDSolver:
         Sparse symmetric positive definite (n, n).
     points
         Positions (n / b, 3) of the vertices that the unknowns sit at, b consecutive unknowns each.
-        With them a large system is ordered by nested dissection (George 1973); without, by COLAMD,
-        which costs about three times as much at 80,000 unknowns.
+        With them large systems are dissected; without, all are treated as small ones.
 
     Raises
     ------
@@ -49,8 +47,8 @@ class SPDSolver:
         _require_finite(matrix.data)
         self._factor: _Factor = (
             _SimplicialFactor(matrix)
-            if matrix.shape[0] < SUPERNODAL_FROM
-            else _SupernodalFactor(matrix, points)
+            if points is None or matrix.shape[0] < MULTIFRONTAL_FROM
+            else _multifrontal(matrix, points)
         )
 
     def refactor(self, matrix: sp.spmatrix) -> None:
@@ -84,6 +82,13 @@ def factored(
         return SPDSolver(matrix, points)
     solver.refactor(matrix)
     return solver
+
+
+def _multifrontal(matrix: sp.csc_matrix, points: np.ndarray) -> _Factor:
+    # Small systems need no compiled loops.
+    from gensp.geometry.multifrontal import MultifrontalCholesky
+
+    return MultifrontalCholesky(matrix, points)
 
 
 def _canonical(matrix: sp.spmatrix) -> sp.csc_matrix:
@@ -125,87 +130,3 @@ class _SimplicialFactor:
             raise np.linalg.LinAlgError(
                 f"the sparse matrix cannot be factored: {error}"
             ) from error
-
-
-class _SupernodalFactor:
-    """LU without pivoting on a symmetric order (SuperLU)."""
-
-    def __init__(self, matrix: sp.csc_matrix, points: np.ndarray | None) -> None:
-        size = matrix.shape[0]
-        self._order = np.arange(size) if points is None else _block_dissection(matrix, points)
-        self._column_order = "COLAMD" if points is None else "NATURAL"
-        # The permuted positions of the stored values, so that refactoring moves values only.
-        tagged = sp.csc_matrix(
-            (np.arange(matrix.nnz, dtype=np.float64), matrix.indices, matrix.indptr), matrix.shape
-        )
-        permuted = tagged[self._order][:, self._order].tocsc()
-        permuted.sort_indices()
-        self._source = permuted.data.astype(np.int64)
-        self._permuted = permuted
-        self.refactor(matrix.data)
-
-    def refactor(self, values: np.ndarray) -> None:
-        """Factor again with other values in the same places of the matrix."""
-        self._permuted.data = values[self._source]
-        try:
-            self._lu = scipy.sparse.linalg.splu(
-                self._permuted,
-                permc_spec=self._column_order,
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )
-        except RuntimeError as error:
-            raise np.linalg.LinAlgError(
-                f"the sparse matrix cannot be factored: {error}"
-            ) from error
-
-    def solve(self, rhs: np.ndarray) -> np.ndarray:
-        solution = np.empty_like(rhs)
-        solution[self._order] = self._lu.solve(np.ascontiguousarray(rhs[self._order]))
-        return solution
-
-
-def _block_dissection(
-    matrix: sp.csc_matrix, points: Float[np.ndarray, "k 3"]
-) -> Int[np.ndarray, " n"]:
-    block, rest = divmod(matrix.shape[0], len(points))
-    if rest:
-        raise ValueError(f"{matrix.shape[0]} unknowns do not sit at {len(points)} points evenly")
-    order = nested_dissection(matrix[::block][:, ::block].tocsr(), points)
-    return (order[:, None] * block + np.arange(block)).reshape(-1)
-
-
-def nested_dissection(
-    graph: sp.csr_matrix, points: Float[np.ndarray, "n 3"]
-) -> Int[np.ndarray, " n"]:
-    """Elimination order of a mesh graph: halves first, the vertices between them last.
-
-    Every part is cut at the median of its widest direction; its separator is the near side of the
-    cut. Fill is O(n log n) on surface meshes (George 1973).
-    """
-    order: list[np.ndarray] = []
-    across = np.zeros(graph.shape[0], dtype=bool)
-    pending = [(np.arange(graph.shape[0]), False)]
-    while pending:
-        part, whole = pending.pop()
-        if whole or len(part) <= _LEAF:
-            order.append(part)
-            continue
-        near, separator, far = _cut(graph, points, part, across)
-        # The stack hands out the halves before the separator that was put below them.
-        pending += [(separator, True), (far, False), (near, False)]
-    return np.concatenate(order).astype(np.int64)
-
-
-def _cut(
-    graph: sp.csr_matrix, points: np.ndarray, part: np.ndarray, across: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    centred = points[part] - points[part].mean(axis=0)
-    widest = np.linalg.eigh(centred.T @ centred)[1][:, -1]
-    rank = np.argsort(centred @ widest, kind="stable")
-    near, far = part[rank[: len(part) // 2]], part[rank[len(part) // 2 :]]
-    across[far] = True
-    rows = graph[near]
-    touches = np.add.reduceat(across[rows.indices], rows.indptr[:-1]) > 0
-    across[far] = False
-    return near[~touches], near[touches], far

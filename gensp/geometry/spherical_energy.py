@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gensp.compiled.energies import ENERGIES, energy_slopes_of, energy_values_of
+from gensp.compiled.projection import raise_negative
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.spherical_triangles import (
     curvature_blocks,
@@ -154,10 +155,17 @@ class SphericalEnergy:
 
 
 def project_positive(hessians: Float[np.ndarray, "6 6 m"]) -> Float[np.ndarray, "6 6 m"]:
-    """Nearest positive semidefinite matrix of every 6×6 block (negative eigenvalues to zero)."""
-    values, vectors = np.linalg.eigh(np.moveaxis(hessians, 2, 0))
-    projected = (vectors * np.maximum(values, 0)[:, None]) @ vectors.swapaxes(1, 2)
-    return np.ascontiguousarray(np.moveaxis(projected, 0, 2))
+    """Nearest positive semidefinite matrix of every 6×6 block (negative eigenvalues to zero).
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        A block has no eigenvalues: its entries are no numbers.
+    """
+    projected = np.array(hessians, order="C")
+    if not raise_negative(projected):
+        raise np.linalg.LinAlgError("a triangle's Hessian holds values that are not finite")
+    return projected
 
 
 def triangle_weights(mesh: Mesh, floor: float) -> Float[np.ndarray, " m"]:

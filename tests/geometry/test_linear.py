@@ -3,7 +3,8 @@ import pytest
 import scipy.sparse as sp
 
 from gensp.geometry import linear
-from gensp.geometry.linear import SPDSolver, nested_dissection
+from gensp.geometry.dissection import nested_dissection
+from gensp.geometry.linear import SPDSolver
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.operators import adjacency, cotangent_laplacian, lumped_mass
 
@@ -13,9 +14,11 @@ def heat_matrix(mesh: Mesh, step: float) -> sp.csc_matrix:
     return sp.csc_matrix(mass + step * cotangent_laplacian(mesh))
 
 
-@pytest.fixture(params=["simplicial", "supernodal"])
+@pytest.fixture(params=["simplicial", "multifrontal"])
 def factor(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    monkeypatch.setattr(linear, "SUPERNODAL_FROM", 0 if request.param == "supernodal" else 10**9)
+    monkeypatch.setattr(
+        linear, "MULTIFRONTAL_FROM", 0 if request.param == "multifrontal" else 10**9
+    )
     return request.param
 
 
@@ -69,10 +72,35 @@ def test_a_zero_matrix_cannot_be_solved(factor, bumpy):
         SPDSolver(matrix, bumpy.vertices).solve(np.ones(642))
 
 
-def test_dissection_orders_every_vertex_once_and_saves_fill(bumpy):
+def test_an_indefinite_matrix_is_refused(bumpy, monkeypatch):
+    monkeypatch.setattr(linear, "MULTIFRONTAL_FROM", 0)
+    matrix = heat_matrix(bumpy, 0.3)
+    matrix[100, 100] = -1.0
+    with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
+        SPDSolver(matrix, bumpy.vertices)
+
+
+def test_parts_that_do_not_touch_are_solved_apart(factor, bumpy, rng):
+    matrix = sp.block_diag([heat_matrix(bumpy, 0.3)] * 2, format="csc")
+    points = np.concatenate([bumpy.vertices, bumpy.vertices + 9])
+    rhs = rng.standard_normal(2 * 642)
+    solution = SPDSolver(matrix, points).solve(rhs)
+    np.testing.assert_allclose(matrix @ solution, rhs, atol=1e-10)
+
+
+def test_dissection_takes_every_vertex_once_and_children_first(bumpy):
     graph = adjacency(bumpy.faces)
-    order = nested_dissection(graph, bumpy.vertices)
+    parts = nested_dissection(graph, bumpy.vertices)
+    order = np.concatenate([part.vertices for part in parts])
     assert sorted(order) == list(range(642))
+    handed_on = [child for part in parts for child in part.children]
+    assert sorted(handed_on) == list(range(len(parts) - 1))
+    assert all(child < place for place, part in enumerate(parts) for child in part.children)
+
+
+def test_dissection_saves_fill(bumpy):
+    graph = adjacency(bumpy.faces)
+    order = np.concatenate([p.vertices for p in nested_dissection(graph, bumpy.vertices)])
 
     def fill(permutation: np.ndarray) -> int:
         matrix = (sp.eye(642) * 10 + graph).tocsc()[permutation][:, permutation]

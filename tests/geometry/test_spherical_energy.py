@@ -123,6 +123,30 @@ def test_projection_keeps_positive_parts_only(energy, start, rng):
     assert original.min() < -1e-3  # the projection has something to do
 
 
+@pytest.mark.parametrize("size", [1e-300, 1.0, 1e300])
+def test_projection_agrees_with_lapack(rng, size):
+    blocks = rng.standard_normal((6, 6, 200))
+    blocks += blocks.swapaxes(0, 1)
+    blocks[..., 0] = 0  # no direction
+    blocks[..., 1] = np.eye(6)
+    blocks[..., 2] = np.diag([1, -1, 2, 0, -3, 4])
+    blocks[..., 3] = 1  # one eigenvalue, and five of zero
+    blocks[..., 4:20] *= np.geomspace(1e-12, 1, 16)
+    values, vectors = np.linalg.eigh(np.moveaxis(blocks, 2, 0))
+    expected = (vectors * np.maximum(values, 0)[:, None]) @ vectors.swapaxes(1, 2)
+    found = np.moveaxis(project_positive(size * blocks) / size, 2, 0)
+    scale = np.maximum(np.abs(values).max(axis=1), 1e-300)[:, None, None]
+    np.testing.assert_allclose(found / scale, expected / scale, atol=1e-14)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_projection_refuses_what_is_no_number(value):
+    blocks = np.zeros((6, 6, 3))
+    blocks[2, 3, 1] = blocks[3, 2, 1] = value
+    with pytest.raises(np.linalg.LinAlgError, match="not finite"):
+        project_positive(blocks)
+
+
 def test_assembly_agrees_with_a_coordinate_list(rng):
     mesh = icosphere(1)
     count = len(mesh.vertices)
