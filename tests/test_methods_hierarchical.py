@@ -8,7 +8,9 @@ import pytest
 
 from gensp.compiled.collapses import collapse_all
 from gensp.compiled.energies import energy_slopes_of, energy_values_of
+from gensp.compiled.fronts import extend_add
 from gensp.compiled.growth import insert, sweep
+from gensp.compiled.projection import raise_negative
 from gensp.geometry.certificate import certify
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.newton import minimise_map
@@ -51,12 +53,15 @@ def test_nothing_is_left_to_compile(limbed):
     compile_loops()
     assert compile_loops() < 0.01
     loops = (collapse_all, insert, sweep, energy_values_of, energy_slopes_of)
+    loops += (raise_negative, extend_add)
     before = [loop.signatures for loop in loops]
     assert all(len(kinds) >= 1 for kinds in before)
     goals = unit(limbed.vertices)
     CertifiedRefinement(untangle_up_to=-1.0)(limbed, goals, goals, np.ones(len(goals)))
+    turned = limbed.with_vertices(np.asfortranarray(limbed.vertices))
     for make in METHODS.values():
         make()(limbed)
+        make()(turned)
     assert [loop.signatures for loop in loops] == before
 
 

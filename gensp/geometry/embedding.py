@@ -94,6 +94,7 @@ def embed(
         A vertex has no place in double precision; the message names it.
     """
     schedule = schedule or Schedule()
+    mesh = _in_rows(mesh)
     goals = np.zeros_like(mesh.vertices) if target is None else unit(target)
     pulls = np.zeros(len(mesh.vertices)) if target is None else np.broadcast_to(pull, len(goals))
     tell("collapsing the mesh")
@@ -107,6 +108,12 @@ def embed(
         if polish is not None and size < whole:
             growing.improve(polish)
     return growing.finished()
+
+
+def _in_rows(mesh: Mesh) -> Mesh:
+    """The mesh with arrays row by row: for another order the loops would be compiled again."""
+    rows = np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.faces)
+    return replace(mesh, vertices=rows[0], faces=rows[1])
 
 
 def _sizes(schedule: Schedule, collapses: Collapses, whole: int) -> list[int]:

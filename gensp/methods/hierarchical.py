@@ -6,12 +6,15 @@ from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
+import scipy.sparse as sp
 from jaxtyping import Float, Int
 
 from gensp.geometry.alignment import normal_rotation
 from gensp.geometry.embedding import Schedule, embed
 from gensp.geometry.mesh import Mesh, normalize
+from gensp.geometry.multifrontal import MultifrontalCholesky
 from gensp.geometry.newton import Refined, minimise_map, refine_map
+from gensp.geometry.operators import cotangent_laplacian
 from gensp.geometry.smat_energy import SmatEnergy
 from gensp.geometry.sphere import icosphere
 from gensp.geometry.spherical_energy import triangle_weights
@@ -229,4 +232,7 @@ def compile_loops() -> float:
 
 @cache
 def _map_something_small() -> None:
-    dirichlet()(icosphere(1))
+    ball = icosphere(1)
+    dirichlet()(ball)
+    matrix = cotangent_laplacian(ball) + sp.eye(len(ball.vertices))
+    MultifrontalCholesky(matrix.tocsc(), ball.vertices)  # of large maps only
