@@ -18,7 +18,7 @@ from urllib.parse import quote
 from gensp.errors import DamagedFile, GenSPError, OutputError
 from gensp.files import read_json, write_json
 from gensp.layout import item_files, item_folder, lay_out
-from gensp.sharing import ATTEMPTS, Workers, shared_out
+from gensp.sharing import ATTEMPTS, Packed, Workers, shared_out
 
 Row = dict[str, str | int | float | bool | None]
 Task = Callable[[str], Row]
@@ -79,7 +79,7 @@ def run_items(
     for item in waiting:
         # A row that is found later is of this run.
         row_path(folder, item).unlink(missing_ok=True)
-    work = partial(partial, _run_item, task, folder)
+    work = partial(partial, _run_item, Packed(task), folder)
     found = partial(stored_row, folder)
     for item, row in shared_out(work, waiting, workers, ranks=ranks, found=found, what=folder):
         if row is not None:

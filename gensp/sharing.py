@@ -1,15 +1,18 @@
 """Who works at many items: processes of this machine, and what is done when one of them dies."""
 
+import hashlib
 import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+import cloudpickle
 import joblib
+import numpy as np
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from gensp.errors import GenSPError
@@ -35,6 +38,40 @@ class WorkerDied(Exception):
     def __init__(self, suspects: Sequence[str] = ()) -> None:
         super().__init__()
         self.suspects = list(suspects)
+
+
+class Packed:
+    """A task that is packed once and unpacked once in each process, however many items it has.
+
+    A task holds its collection, whose list of shapes would travel with each of them. joblib maps
+    a large array into the memory of its workers.
+    """
+
+    def __init__(self, task: Callable[[str], Any]) -> None:
+        self.task = task
+
+    def __call__(self, item: str) -> Any:
+        """What the task gives for an item."""
+        return self.task(item)
+
+    @cached_property
+    def _content(self) -> tuple[str, np.ndarray]:
+        packed = cloudpickle.dumps(self.task)
+        return hashlib.sha256(packed).hexdigest(), np.frombuffer(packed, np.uint8)
+
+    def __reduce__(self) -> tuple[Callable[[str, np.ndarray], "Packed"], tuple[str, np.ndarray]]:
+        return _unpacked, self._content
+
+
+_UNPACKED: dict[str, Packed] = {}  # the last one
+
+
+def _unpacked(digest: str, packed: np.ndarray) -> Packed:
+    if digest not in _UNPACKED:
+        task = cloudpickle.loads(packed.tobytes())
+        _UNPACKED.clear()
+        _UNPACKED[digest] = Packed(task)
+    return _UNPACKED[digest]
 
 
 @dataclass(frozen=True)

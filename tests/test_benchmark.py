@@ -10,7 +10,7 @@ from gensp.benchmark import PARTS, Benchmark
 from gensp.comparison import compare_methods
 from gensp.pictures.methods import MethodFigures, methods_figure
 from gensp.tables import latex_table, latex_text, read_summary_csv
-from gensp.tasks.evaluate import drawn_partners
+from gensp.tasks.evaluate import Circle
 
 FILES = ("table.md", "table.csv", "table.tex", "plot.png")
 REASON = "vertex 7 finds no place on the sphere; remesh the surface"
@@ -116,13 +116,13 @@ def test_a_curve_of_a_method_that_fails_ends_below_one() -> None:
 
 
 def test_partners_are_mutual_and_equally_many() -> None:
-    ids = [f"s{number}" for number in range(11)]
-    drawn = {id: drawn_partners(ids, id, 4) for id in ids}
-    assert all(len(others) == 4 and id not in others for id, others in drawn.items())
-    assert all(id in drawn[other] for id, others in drawn.items() for other in others)
-    assert drawn_partners(ids, "s3", 0) == set()
+    circle = Circle([f"s{number}" for number in range(11)])
+    drawn = {place: circle.near(place, 4) for place in range(11)}
+    assert all(len(others) == 4 and place not in others for place, others in drawn.items())
+    assert all(place in drawn[other] for place, others in drawn.items() for other in others)
+    assert circle.near(3, 0) == []
     for many in (None, 10, 40):
-        assert drawn_partners(ids, "s3", many) == set(ids) - {"s3"}
+        assert circle.near(3, many) == [place for place in range(11) if place != 3]
 
 
 def test_an_experiment_without_evaluations_gets_no_table(tmp_path: Path) -> None:

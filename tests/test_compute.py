@@ -1,6 +1,7 @@
 """Items over workers: rows, skipping, failures, dead workers."""
 
 import os
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -48,6 +49,41 @@ def test_every_item_once(tmp_path: Path, jobs: int) -> None:
     again = list(run_items(task, ITEMS, tmp_path, Workers(jobs)))
     assert again == stored_rows(tmp_path)
     assert task.calls == ITEMS
+
+
+class Counted:
+    """Leaves a line for every time that it is read, and is as large as asked for."""
+
+    def __init__(self, folder: Path, size: int) -> None:
+        self.folder, self.names = folder, [f"shape {number}" for number in range(size)]
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__ = state
+        with open(self.folder / "read.txt", "a") as file:
+            file.write(f"{os.getpid()}\n")
+
+    def __call__(self, item: str) -> Row:
+        time.sleep(0.05)  # so that all workers get some
+        return {"id": item, "process": os.getpid(), "names": len(self.names)}
+
+
+@pytest.mark.parametrize("size", [10, 200_000])
+def test_a_worker_reads_a_task_once_for_all_items(tmp_path: Path, size: int) -> None:
+    items = [f"i{number}" for number in range(12)]
+    rows = list(run_items(Counted(tmp_path, size), items, tmp_path, Workers(2)))
+    assert sorted(str(row["id"]) for row in rows) == sorted(items)
+    assert all(row["names"] == size for row in rows)
+    read = (tmp_path / "read.txt").read_text().split()
+    assert sorted(set(read)) == sorted({str(row["process"]) for row in rows})
+    assert len(read) == len(set(read))
+
+
+def test_a_task_of_a_notebook_travels(tmp_path: Path) -> None:
+    """It has no module that a worker could read."""
+    length = len(ITEMS)
+    rows = list(run_items(lambda item: {"id": item, "n": length}, ITEMS, tmp_path, Workers(2)))
+    assert sorted(str(row["id"]) for row in rows) == ITEMS
+    assert all(row["n"] == length for row in rows)
 
 
 def test_only_the_missing_items_are_done(tmp_path: Path) -> None:

@@ -130,10 +130,12 @@ class ShapeCollection:
 
     # Equal where the files are: copies in worker processes share what is cached per collection.
     def __eq__(self, other: object) -> bool:
+        if self is other:
+            return True
         return isinstance(other, ShapeCollection) and self._identity == other._identity
 
     def __hash__(self) -> int:
-        return hash(self._identity)
+        return hash((self.name, len(self._shapes), self._keypoint_file))
 
     @property
     def _identity(self) -> tuple[Any, ...]:

@@ -54,13 +54,13 @@ class Evaluate:
 
     def _partners(self, id: str) -> list[str]:
         """The shapes whose pair with this one is measured here: half of all, each pair once."""
-        ids = mapped_ids(self.collection, self.parameterize)
-        place = ids.index(id)
-        drawn = drawn_partners(self.collection.ids(), id, self.partners)
+        circle = _circle(self.collection)
+        place = circle.places[id]
         return [
-            other
-            for index, other in enumerate(ids)
-            if other in drawn and (index + place) % 2 == (index > place)
+            circle.ids[index]
+            for index in circle.near(place, self.partners)
+            if (index + place) % 2 == (index > place)
+            and map_path(self.parameterize, circle.ids[index]).is_file()
         ]
 
     def _pair(self, id: str, other: str) -> list[Record]:
@@ -149,19 +149,36 @@ def mapped_ids(collection: ShapeCollection, parameterize: Path) -> list[str]:
     return [id for id in collection.ids() if map_path(parameterize, id).is_file()]
 
 
-def drawn_partners(ids: Sequence[str], id: str, partners: int | None) -> set[str]:
-    """The other shapes that one is compared with.
+class Circle:
+    """All shapes on a circle in random order, the same for every method.
 
-    All shapes stand on a circle in random order, the same for every method, and each is compared
-    with those next to it: so all take part in equally many pairs.
+    Each is compared with those next to it: so all take part in equally many pairs.
+
+    Attributes
+    ----------
+    ids, places
+        The shapes, and where each stands in that list.
     """
-    if partners is None or partners >= len(ids) - 1:
-        return set(ids) - {id}
-    order = np.random.default_rng(0).permutation(len(ids))
-    place = int(np.flatnonzero(order == ids.index(id))[0])
-    reach = (partners + 1) // 2
-    near = [order[(place + step) % len(ids)] for step in range(-reach, reach + 1)]
-    return {ids[index] for index in near} - {id}
+
+    def __init__(self, ids: Sequence[str]) -> None:
+        self.ids, self.places = list(ids), {id: place for place, id in enumerate(ids)}
+        self._order = np.random.default_rng(0).permutation(len(ids))
+        self._turn = np.argsort(self._order)
+
+    def near(self, place: int, partners: int | None) -> list[int]:
+        """Places, ascending, of about so many other shapes; of all for None."""
+        count = len(self.ids)
+        if partners is None or partners >= count - 1:
+            return [other for other in range(count) if other != place]
+        reach = (partners + 1) // 2
+        steps = np.arange(-reach, reach + 1)
+        near = np.unique(self._order[(self._turn[place] + steps) % count])
+        return [int(other) for other in near if other != place]
+
+
+@lru_cache(maxsize=1)
+def _circle(collection: ShapeCollection) -> Circle:
+    return Circle(collection.ids())
 
 
 # A worker meets every map in many pairs.
