@@ -47,6 +47,10 @@ def read_map(path: Path) -> SphericalMap:
     UnreadableMesh
         No such file, a mesh, no npz, or arrays that are no spherical map.
     """
+    if path.is_dir():
+        raise UnreadableMesh(
+            f"{path}: is a folder; one map, an npz, is required; name a file in it"
+        )
     if not path.is_file():
         raise UnreadableMesh(
             f"{path}: does not exist; a map is required; write it with gensp parameterize"

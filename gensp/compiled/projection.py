@@ -4,13 +4,14 @@ import numpy as np
 from numba import njit
 
 _SWEEPS = 60  # rotations of one eigenvalue: some three are the rule
+_TINY = 1e-100  # a square that is nothing beside the largest entry, which is one, and no underflow
 
 
 @njit(cache=True)
 def tridiagonalise(a: np.ndarray, q: np.ndarray, d: np.ndarray, e: np.ndarray) -> None:
     """QᵀAQ = tridiag(e, d, e) by Householder reflections (Golub & Van Loan, §8.3.1).
 
-    A symmetric (n, n), is overwritten; e[k] stands beside d[k] and d[k + 1].
+    A symmetric (n, n), largest entry one, is overwritten; e[k] stands beside d[k] and d[k + 1].
     """
     n = len(d)
     v, w = np.empty(n), np.empty(n)
@@ -18,12 +19,12 @@ def tridiagonalise(a: np.ndarray, q: np.ndarray, d: np.ndarray, e: np.ndarray) -
         for j in range(n):
             q[i, j] = 1.0 if i == j else 0.0
     for k in range(n - 2):
-        square = 0.0
-        for i in range(k + 1, n):
+        v[k + 1], rest = a[k + 1, k], 0.0
+        for i in range(k + 2, n):
             v[i] = a[i, k]
-            square += v[i] * v[i]
-        rest = square - v[k + 1] * v[k + 1]
-        if rest > 0.0:
+            rest += v[i] * v[i]
+        square = rest + v[k + 1] * v[k + 1]
+        if rest > _TINY:
             pivot = -np.copysign(np.sqrt(square), v[k + 1])
             v[k + 1] -= pivot
             beta = 2.0 / (rest + v[k + 1] * v[k + 1])
@@ -84,7 +85,7 @@ def diagonalise(d: np.ndarray, e: np.ndarray, q: np.ndarray) -> bool:
 
 @njit(cache=True)
 def _negligible(d: np.ndarray, e: np.ndarray, k: int) -> bool:
-    return bool(abs(e[k]) <= 1e-16 * (abs(d[k]) + abs(d[k + 1])) or abs(e[k]) < 1e-300)
+    return bool(abs(e[k]) <= 1e-16 * (abs(d[k]) + abs(d[k + 1])) or e[k] * e[k] <= _TINY)
 
 
 @njit(cache=True)
@@ -96,7 +97,7 @@ def _chase(d: np.ndarray, e: np.ndarray, q: np.ndarray, first: int, last: int) -
     x, z = d[first] - shift, e[first]
     for k in range(first, last):
         length = np.sqrt(x * x + z * z)
-        c, s = x / length, z / length
+        c, s = (x / length, z / length) if length > 0.0 else (1.0, 0.0)
         if k > first:
             e[k - 1] = length
         a, b, g = d[k], e[k], d[k + 1]

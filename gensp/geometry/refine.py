@@ -258,7 +258,7 @@ def harmonic_patch(
     held[moving] = False
     rows = adjacency[moving]
     laplacian = scipy.sparse.diags(np.asarray(rows.sum(axis=1)).reshape(-1)) - rows[:, moving]
-    moved = unit(SPDSolver(laplacian).solve(rows[:, held] @ sphere[held]))
+    moved = unit(SPDSolver(laplacian, sphere[moving]).solve(rows[:, held] @ sphere[held]))
     result = sphere.copy()
     # The mean of opposite points has no direction: such a vertex stays where it is.
     result[moving] = np.where(moved.any(axis=1, keepdims=True), moved, sphere[moving])

@@ -164,7 +164,9 @@ def project_positive(hessians: Float[np.ndarray, "6 6 m"]) -> Float[np.ndarray, 
     """
     projected = np.array(hessians, order="C")
     if not raise_negative(projected):
-        raise np.linalg.LinAlgError("a triangle's Hessian holds values that are not finite")
+        raise np.linalg.LinAlgError(
+            "a triangle's Hessian cannot be diagonalised: its values are not finite"
+        )
     return projected
 
 

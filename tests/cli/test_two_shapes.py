@@ -146,6 +146,8 @@ def test_view_writes_a_page_without_network(gensp: Run, map_file: Path, tmp_path
 
 
 def test_view_of_a_mesh_says_how_to_get_its_map(refused: Refused, bumpy_file: Path) -> None:
+    folder = bumpy_file.parent
+    assert f"{folder}: is a folder; one map, an npz, is required" in refused("view", folder)
     line = refused("view", bumpy_file)
     assert (
         f"is a mesh; its map, an npz, is required; type: gensp parameterize {bumpy_file}" in line

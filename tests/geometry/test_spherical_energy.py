@@ -132,9 +132,17 @@ def test_projection_agrees_with_lapack(rng, size):
     blocks[..., 2] = np.diag([1, -1, 2, 0, -3, 4])
     blocks[..., 3] = 1  # one eigenvalue, and five of zero
     blocks[..., 4:20] *= np.geomspace(1e-12, 1, 16)
+    grades = 10.0 ** rng.integers(-40, 1, (6, 6, 100))
+    blocks[..., 20:120] *= np.maximum(grades, grades.swapaxes(0, 1))
+    blocks[..., 120] = np.diag([0.5, -0.3, -0.2, -0.1, 0.4, -0.6])
+    blocks[0, 1, 120] = blocks[1, 0, 120] = 1.0
+    blocks[0, 2, 120] = blocks[2, 0, 120] = 1e-8  # of no weight in the norm of its column
+    blocks[..., 121] = 0
+    blocks[0, 0, 121], blocks[1, 2, 121], blocks[2, 1, 121] = 1.0, 1e-170, 1e-170
     values, vectors = np.linalg.eigh(np.moveaxis(blocks, 2, 0))
     expected = (vectors * np.maximum(values, 0)[:, None]) @ vectors.swapaxes(1, 2)
     found = np.moveaxis(project_positive(size * blocks) / size, 2, 0)
+    assert np.linalg.eigvalsh(found).min() > -1e-13
     scale = np.maximum(np.abs(values).max(axis=1), 1e-300)[:, None, None]
     np.testing.assert_allclose(found / scale, expected / scale, atol=1e-14)
 
