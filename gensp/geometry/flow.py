@@ -4,6 +4,7 @@ Source of the flow: Kazhdan, Solomon and Ben-Chen 2012, "Can mean-curvature flow
 non-singular?": the stiffness stays that of the input, the mass follows the moving shape.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import igl
@@ -16,7 +17,12 @@ from gensp.geometry.arap import ArapSystem
 from gensp.geometry.folds import folded_faces
 from gensp.geometry.linear import factored
 from gensp.geometry.mesh import Mesh, normalize
-from gensp.geometry.operators import cotangent_laplacian, delaunay_laplacian, lumped_mass
+from gensp.geometry.operators import (
+    cotangent_laplacian,
+    delaunay_laplacian,
+    full_mass,
+    lumped_mass,
+)
 from gensp.geometry.sphere import icosphere
 
 # A triangle below this share of its first area (both shapes at 4π) no longer carries a shape.
@@ -95,6 +101,7 @@ def cmcf(
     max_steps: int = 100,
     tolerance: float = 0.015,
     intrinsic: bool = True,
+    full: bool = False,
     patience: int | None = 10,
 ) -> Flow:
     """Flow a genus-0 mesh to the sphere: (M_t + δ L) x_{t+1} = M_t x_t, re-centred, area 4π.
@@ -111,6 +118,8 @@ def cmcf(
     intrinsic
         Stiffness of the intrinsic Delaunay triangulation: no negative cotangents, hence fewer
         folds on the sphere. False is the plain cotangent matrix of the original.
+    full
+        The full mass matrix of linear elements, as in the authors' program; else the lumped one.
     patience
         The flow stalls after so many steps that hardly moved and came no closer to the sphere;
         with none it takes all of its steps, as the original does.
@@ -129,27 +138,38 @@ def cmcf(
     mesh, step = normalize(mesh), step or StepSchedule()
     stiffness = delaunay_laplacian(mesh) if intrinsic else cotangent_laplacian(mesh)
     track = _Track(mesh, patience)
-    reason = _run(track, stiffness, step, max_steps, tolerance)
+    mass = full_mass if full else _lumped
+    reason = _run(track, stiffness, mass, step, max_steps, tolerance)
     if len(track.shapes) == 1:
         raise DegenerateMesh(f"{mesh.name}: {reason}; a mesh that can flow is required; remesh it")
     return track.flow(step, reason)
 
 
+def _lumped(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> sp.csc_matrix:
+    return sp.diags(lumped_mass(vertices, faces), format="csc")
+
+
 def _run(
-    track: "_Track", stiffness: sp.csc_matrix, step: StepSchedule, max_steps: int, tolerance: float
+    track: "_Track",
+    stiffness: sp.csc_matrix,
+    mass_of: Callable[[np.ndarray, np.ndarray], sp.csc_matrix],
+    step: StepSchedule,
+    max_steps: int,
+    tolerance: float,
 ) -> str:
     """Take the steps of a flow; why it ended."""
     mesh, solver = track.shapes[0], None
     for k in range(max_steps):
         before = track.shapes[-1].vertices
-        mass = lumped_mass(before, mesh.faces)
+        mass = mass_of(before, mesh.faces)
         try:
-            matrix = sp.diags(mass, format="csc") + step(k) * stiffness
-            solver = factored(solver, matrix, mesh.vertices)
-            shape = _renormalized(mesh, solver.solve(mass[:, None] * before))
+            solver = factored(solver, mass + step(k) * stiffness, mesh.vertices)
+            shape = _renormalized(mesh, solver.solve(mass @ before))
         except (np.linalg.LinAlgError, DegenerateMesh) as error:
             return f"degenerate: {error}"
-        track.add(shape, _displacement(before, shape.vertices, mass))
+        # The rows of either mass add up to a third of the areas at the vertices.
+        areas = np.asarray(mass.sum(axis=1)).reshape(-1)
+        track.add(shape, _displacement(before, shape.vertices, areas))
         if track.errors[-1] < tolerance:
             return "sphere"
         if track.stalled():

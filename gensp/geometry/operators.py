@@ -67,6 +67,14 @@ def adjacency(faces: Int[np.ndarray, "m 3"]) -> sp.csr_matrix:
     return graph
 
 
+def full_mass(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> sp.csc_matrix:
+    """Mass matrix (n, n) of linear elements.
+
+    A triangle gives a sixth of its area to its corners, a twelfth to its edges.
+    """
+    return sp.csc_matrix(igl.massmatrix(vertices, faces, igl.MASSMATRIX_TYPE_FULL))
+
+
 def lumped_mass(
     vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
 ) -> Float[np.ndarray, " n"]:

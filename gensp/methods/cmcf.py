@@ -32,7 +32,7 @@ class CMCF:
     ----------
     refine
         Called with the mesh, the start (n, 3) and no target; gives the final map.
-    step, max_steps, tolerance, intrinsic, patience
+    step, max_steps, tolerance, intrinsic, full, patience
         Of the flow (Kazhdan, Solomon & Ben-Chen 2012).
     """
 
@@ -41,6 +41,7 @@ class CMCF:
     max_steps: int = 100
     tolerance: float = 0.015
     intrinsic: bool = True
+    full: bool = False
     patience: int | None = 10
     name: str = "cmcf"
 
@@ -68,6 +69,7 @@ class CMCF:
             max_steps=self.max_steps,
             tolerance=self.tolerance,
             intrinsic=self.intrinsic,
+            full=self.full,
             patience=self.patience,
         )
 

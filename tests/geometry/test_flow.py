@@ -12,10 +12,20 @@ from gensp.geometry.predicates import bad_faces, map_degree
 from gensp.geometry.sphere import icosphere, unit
 
 
-def test_first_step_equals_a_dense_solve(bumpy):
-    flow = cmcf(bumpy, step=StepSchedule(0.1, 1.0), max_steps=1, intrinsic=False)
+def consistent_mass(mesh: Mesh) -> np.ndarray:
+    """∫ φ_i φ_j of linear elements, triangle by triangle."""
+    mass = np.zeros((len(mesh.vertices),) * 2)
+    for face, area in zip(mesh.faces, mesh.face_areas, strict=True):
+        mass[np.ix_(face, face)] += area / 12 * (np.ones((3, 3)) + np.eye(3))
+    return mass
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_first_step_equals_a_dense_solve(bumpy, full):
+    flow = cmcf(bumpy, step=StepSchedule(0.1, 1.0), max_steps=1, intrinsic=False, full=full)
     start = normalize(bumpy)
-    mass = np.diag(lumped_mass(start.vertices, start.faces))
+    lumped = np.diag(lumped_mass(start.vertices, start.faces))
+    mass = consistent_mass(start) if full else lumped
     matrix = mass + 0.1 * cotangent_laplacian(start).toarray()
     expected = normalize(start.with_vertices(np.linalg.solve(matrix, mass @ start.vertices)))
     np.testing.assert_allclose(flow.vertices[1], expected.vertices, atol=1e-11)
@@ -53,6 +63,16 @@ def test_flow_turns_with_the_input_and_forgets_its_scale(bumpy):
     moved = cmcf(bumpy.with_vertices(7 * bumpy.vertices @ turn.T + 2), max_steps=8)
     np.testing.assert_allclose(moved.vertices, flow.vertices @ turn.T, atol=1e-9)
     np.testing.assert_allclose(flow_score(moved, bumpy), flow_score(flow, bumpy), rtol=1e-7)
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_flow_forgets_the_order_of_the_vertices(bumpy, rng, full):
+    order = rng.permutation(len(bumpy.vertices))
+    place = np.argsort(order)
+    faces = rng.permutation(place[bumpy.faces])
+    shuffled = cmcf(Mesh(bumpy.vertices[order], faces), max_steps=8, full=full)
+    flow = cmcf(bumpy, max_steps=8, full=full)
+    np.testing.assert_allclose(shuffled.vertices, flow.vertices[:, order], atol=1e-9)
 
 
 def test_vanishing_limbs_are_reported_and_everything_stays_finite(limbed):
