@@ -6,6 +6,7 @@ non-singular?": the stiffness stays that of the input, the mass follows the movi
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import igl
 import numpy as np
@@ -18,9 +19,9 @@ from gensp.geometry.folds import folded_faces
 from gensp.geometry.linear import factored
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.operators import (
+    FullMass,
     cotangent_laplacian,
     delaunay_laplacian,
-    full_mass,
     lumped_mass,
 )
 from gensp.geometry.sphere import icosphere
@@ -29,6 +30,8 @@ from gensp.geometry.sphere import icosphere
 SMALLEST_SHARE = 1e-6
 _STILL = 5e-3
 _SPHERE_LEVEL = 4
+
+MassOf = Callable[[np.ndarray, np.ndarray], sp.csc_matrix]
 
 
 @dataclass(frozen=True)
@@ -63,9 +66,6 @@ class Flow:
         Accumulated area-weighted root-mean-square displacement (t,).
     sphere_error
         max |‖x‖ − 1| of every shape (t,).
-    sound
-        Whether all triangles still carry area and none is folded (t,); where not, a shape is to
-        be used as a geometry only, never with these faces. The first is the input, as it is.
     converged, reason
         Whether the sphere was reached, and why the flow ended: "sphere", "stalled", "steps"
         or "degenerate: …".
@@ -76,9 +76,22 @@ class Flow:
     times: Float[np.ndarray, " t"]
     arc_length: Float[np.ndarray, " t"]
     sphere_error: Float[np.ndarray, " t"]
-    sound: Bool[np.ndarray, " t"]
     converged: bool
     reason: str
+
+    @cached_property
+    def sound(self) -> Bool[np.ndarray, " t"]:
+        """Whether all triangles still carry area and none is folded.
+
+        Where not, a shape is to be used as a geometry only, never with these faces. The first is
+        the input, as it is.
+        """
+        first, *others = (Mesh(vertices, self.faces) for vertices in self.vertices)
+        smallest = SMALLEST_SHARE * first.face_areas
+        whole = (
+            bool((s.face_areas > smallest).all() and not folded_faces(s).any()) for s in others
+        )
+        return np.array([True, *whole])
 
     def at(self, fractions: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k n 3"]:
         """Shapes at fractions in [0, 1] of the arc length, linear between steps."""
@@ -134,15 +147,17 @@ def cmcf(
     DegenerateMesh
         The input has no area, or not even the first step can be computed.
     """
-    _require_area(mesh)
-    mesh, step = normalize(mesh), step or StepSchedule()
-    stiffness = delaunay_laplacian(mesh) if intrinsic else cotangent_laplacian(mesh)
-    track = _Track(mesh, patience)
-    mass = full_mass if full else _lumped
-    reason = _run(track, stiffness, mass, step, max_steps, tolerance)
+    step, track = step or StepSchedule(), _Track(_at_area(mesh), patience)
+    reason = _run(track, _matrices(track.shapes[0], intrinsic, full), step, max_steps, tolerance)
     if len(track.shapes) == 1:
         raise DegenerateMesh(f"{mesh.name}: {reason}; a mesh that can flow is required; remesh it")
     return track.flow(step, reason)
+
+
+def _matrices(mesh: Mesh, intrinsic: bool, full: bool) -> tuple[sp.csc_matrix, MassOf]:
+    """The stiffness, and the mass at any positions."""
+    stiffness = delaunay_laplacian(mesh) if intrinsic else cotangent_laplacian(mesh)
+    return stiffness, FullMass(mesh.faces, len(mesh.vertices)) if full else _lumped
 
 
 def _lumped(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> sp.csc_matrix:
@@ -151,14 +166,13 @@ def _lumped(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -
 
 def _run(
     track: "_Track",
-    stiffness: sp.csc_matrix,
-    mass_of: Callable[[np.ndarray, np.ndarray], sp.csc_matrix],
+    matrices: tuple[sp.csc_matrix, MassOf],
     step: StepSchedule,
     max_steps: int,
     tolerance: float,
 ) -> str:
     """Take the steps of a flow; why it ended."""
-    mesh, solver = track.shapes[0], None
+    mesh, solver, (stiffness, mass_of) = track.shapes[0], None, matrices
     for k in range(max_steps):
         before = track.shapes[-1].vertices
         mass = mass_of(before, mesh.faces)
@@ -183,16 +197,13 @@ class _Track:
     def __init__(self, mesh: Mesh, patience: int | None) -> None:
         self.patience = patience
         self.shapes, self.moved = [mesh], [0.0]
-        self.errors, self.sound = [_sphere_error(mesh)], [True]
+        self.errors = [_sphere_error(mesh)]
 
     def add(self, shape: Mesh, displacement: float) -> None:
         """The next shape, and how far its vertices moved."""
         self.shapes.append(shape)
         self.moved.append(displacement)
         self.errors.append(_sphere_error(shape))
-        smallest = SMALLEST_SHARE * self.shapes[0].face_areas
-        whole = bool((shape.face_areas > smallest).all())
-        self.sound.append(whole and not folded_faces(shape).any())
 
     def stalled(self) -> bool:
         if self.patience is None:
@@ -211,19 +222,20 @@ class _Track:
             times=np.concatenate([[0.0], np.cumsum(steps)]),
             arc_length=np.cumsum(self.moved[:kept]),
             sphere_error=np.array(self.errors[:kept]),
-            sound=np.array(self.sound[:kept]),
             converged=reason == "sphere",
             reason=reason,
         )
 
 
-def _require_area(mesh: Mesh) -> None:
+def _at_area(mesh: Mesh) -> Mesh:
+    """The mesh as it flows."""
     # Comparisons with what is not a number are false.
     if not (np.isfinite(mesh.vertices).all() and mesh.area > 0):
         raise DegenerateMesh(
             f"{mesh.name}: positions are not finite, or the area is zero; a surface is required "
             "to flow; replace the mesh"
         )
+    return normalize(mesh)
 
 
 def _renormalized(mesh: Mesh, vertices: Float[np.ndarray, "n 3"]) -> Mesh:

@@ -67,12 +67,28 @@ def adjacency(faces: Int[np.ndarray, "m 3"]) -> sp.csr_matrix:
     return graph
 
 
-def full_mass(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> sp.csc_matrix:
-    """Mass matrix (n, n) of linear elements.
+class FullMass:
+    """Mass matrices (n, n) of linear elements on one triangulation; the pattern is found once.
 
     A triangle gives a sixth of its area to its corners, a twelfth to its edges.
     """
-    return sp.csc_matrix(igl.massmatrix(vertices, faces, igl.MASSMATRIX_TYPE_FULL))
+
+    def __init__(self, faces: Int[np.ndarray, "m 3"], count: int) -> None:
+        corners = np.repeat(faces, 3, axis=1), np.tile(faces, (1, 3))
+        keys, place = np.unique(corners[1] * count + corners[0], return_inverse=True)
+        self._place, self._size = place.reshape(-1), len(keys)
+        counts = np.bincount(keys // count, minlength=count)
+        self._indices = (keys % count).astype(np.int32)
+        self._indptr = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+        self._shares = np.where(corners[0] == corners[1], 1 / 6, 1 / 12)
+
+    def __call__(
+        self, vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
+    ) -> sp.csc_matrix:
+        """The matrix at positions of the vertices."""
+        areas = igl.doublearea(vertices, faces).reshape(-1, 1) / 2
+        data = np.bincount(self._place, (areas * self._shares).reshape(-1), self._size)
+        return sp.csc_matrix((data, self._indices, self._indptr), shape=(len(vertices),) * 2)
 
 
 def lumped_mass(

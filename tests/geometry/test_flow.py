@@ -129,8 +129,7 @@ def test_a_stalled_flow_ends_at_its_closest_shape(bumpy):
 
 def synthetic(vertices: np.ndarray, arc_length: list[float], faces: np.ndarray) -> Flow:
     steps = np.arange(len(vertices), dtype=float)
-    sound = np.ones(len(vertices), dtype=bool)
-    return Flow(vertices, faces, steps, np.array(arc_length), steps, sound, True, "sphere")
+    return Flow(vertices, faces, steps, np.array(arc_length), steps, True, "sphere")
 
 
 def test_positions_are_linear_in_arc_length():

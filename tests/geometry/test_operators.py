@@ -3,6 +3,7 @@ import numpy as np
 
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.operators import (
+    FullMass,
     adjacency,
     clamped_laplacian,
     cotangent_laplacian,
@@ -64,6 +65,13 @@ def test_lumped_mass_equals_libigl_and_sums_to_the_area(bumpy):
     theirs = igl.massmatrix(bumpy.vertices, bumpy.faces, igl.MASSMATRIX_TYPE_BARYCENTRIC)
     np.testing.assert_allclose(mass, theirs.diagonal(), rtol=1e-12)
     np.testing.assert_allclose(mass.sum(), bumpy.area, rtol=1e-12)
+
+
+def test_full_mass_equals_libigl_wherever_the_vertices_are(bumpy, rng):
+    mass = FullMass(bumpy.faces, len(bumpy.vertices))
+    for vertices in (bumpy.vertices, bumpy.vertices + 0.1 * rng.standard_normal((642, 3))):
+        theirs = igl.massmatrix(vertices, bumpy.faces, igl.MASSMATRIX_TYPE_FULL)
+        np.testing.assert_allclose((mass(vertices, bumpy.faces) - theirs).toarray(), 0, atol=1e-15)
 
 
 def test_adjacency_has_each_edge_in_both_directions(bumpy):

@@ -1,0 +1,71 @@
+"""`method=cmcf_raw` beside the program of the flow's authors, where that folds nothing.
+
+    OMP_NUM_THREADS=1 python benchmarks/flow_peers.py MESHES FIGURES
+
+MESHES and FIGURES as in peers.py; the program's rows are named cmcf_100_steps, its column
+seconds_one_core has seconds on one quiet core. Printed are the distortions of both (theirs in
+brackets), the largest relative difference of the four, and processor seconds.
+"""
+
+import argparse
+import csv
+import sys
+import time
+from pathlib import Path
+
+import hydra
+from rich.console import Console
+from rich.progress import track
+
+from gensp.geometry.mesh import load_mesh
+from gensp.methods import SphericalParameterization
+
+PROGRAM = "cmcf_100_steps"
+COLUMNS = ("iso_mean", "iso_max", "con_mean", "con_max")
+
+
+def authors_flow() -> SphericalParameterization:
+    """The method as its configuration has it."""
+    with hydra.initialize_config_module("conf", version_base="1.3"):
+        method = hydra.compose("config", ["method=cmcf_raw"]).method.object
+    made: SphericalParameterization = hydra.utils.instantiate(method)()
+    return made
+
+
+def line(method: SphericalParameterization, meshes: Path, theirs: dict[str, str]) -> str:
+    """A row of the table."""
+    collection, shape = theirs["mesh"].split("/")
+    mesh = load_mesh(meshes / collection / "meshes" / f"{shape}.ply")
+    began = time.process_time()
+    map = method(mesh)
+    seconds = time.process_time() - began
+    found = map.distortion()
+    ours = (found.mean, found.max, found.conformal_mean, found.conformal_max)
+    known = [float(theirs[name]) for name in COLUMNS]
+    apart = max(abs(a / b - 1) for a, b in zip(ours, known, strict=True))
+    figures = [f"{a:.6g} ({b:.6g})" for a, b in zip(ours, known, strict=True)]
+    bracket = f" ({theirs['seconds_one_core']})" if theirs["seconds_one_core"] else ""
+    cells = [theirs["mesh"], *figures, f"{int(map.bad_faces().sum())}", f"{apart:.1e}"]
+    return f"| {' | '.join(cells)} | {seconds:.2f}{bracket} |\n"
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("meshes", type=Path)
+    parser.add_argument("figures", type=Path)
+    chosen = parser.parse_args()
+    with open(chosen.figures, newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["method"] == PROGRAM]
+    clean = [row for row in rows if row["bad_faces"] == "0"]
+    method = authors_flow()
+    sys.stdout.write(
+        "| mesh | mean σ | max σ | mean σ^con | max σ^con | bad faces | difference | seconds |\n"
+        "|---|--:|--:|--:|--:|--:|--:|--:|\n"
+    )
+    for row in track(clean, console=Console(stderr=True)):
+        sys.stdout.write(line(method, chosen.meshes, row))
+
+
+if __name__ == "__main__":
+    main()
