@@ -1,10 +1,14 @@
 """Methods on the hierarchical embedding: bijective maps, each the best by its own measure."""
 
 import pickle
+import tempfile
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from slivers import slivers
 
 from gensp.compiled.collapses import collapse_all
 from gensp.compiled.energies import energy_slopes_of, energy_values_of
@@ -18,6 +22,7 @@ from gensp.geometry.progress import listening
 from gensp.geometry.smat_energy import SmatEnergy
 from gensp.geometry.sphere import icosphere, unit
 from gensp.geometry.spherical_energy import SphericalEnergy
+from gensp.geometry.spherical_map import load_map, save_map
 from gensp.methods.hierarchical import SmatPolish, ahsp, compile_loops, dirichlet, smat, stretch
 from gensp.methods.refinement import CertifiedRefinement
 
@@ -46,6 +51,32 @@ def test_map_is_certified_and_keeps_coordinates(method, limbed):
     assert certify(map.sphere, map.faces)
     assert map.diagnostics["bad_faces"] == 0
     assert map.diagnostics["seconds"] > 0
+
+
+@settings(max_examples=8, deadline=None)
+@given(
+    st.sampled_from(["dirichlet", "stretch"]),
+    st.integers(0, 2**31),
+    st.floats(0.0, 0.95),
+    st.floats(0.0, 3.0),
+)
+def test_random_slivers_are_mapped_and_read_back_certified(name, seed, crowd, spread):
+    map = METHODS[name]()(slivers(seed, crowd, spread))
+    assert certify(map.sphere, map.faces)
+    assert np.isfinite(map.distortion().max)
+    with tempfile.TemporaryDirectory() as folder:
+        save_map(map, folder)
+        assert load_map(f"{folder}/{map.name}.npz").certify()
+
+
+def test_the_order_of_vertices_and_faces_changes_no_figure(limbed, rng):
+    order = rng.permutation(len(limbed.vertices))
+    faces = rng.permutation(np.argsort(order)[limbed.faces])
+    shuffled = Mesh(limbed.vertices[order], faces, "shuffled")
+    found = [dirichlet()(mesh).distortion() for mesh in (limbed, shuffled)]
+    # Ties of the collapses are broken by the order; the minimum is the same.
+    assert found[0].mean == pytest.approx(found[1].mean, rel=0.01)
+    assert found[0].max == pytest.approx(found[1].max, rel=0.1)
 
 
 def test_nothing_is_left_to_compile(limbed):

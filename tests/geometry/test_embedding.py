@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from slivers import slivers
 
 from gensp.compiled.halfedges import collapse, ring, split
 from gensp.geometry.alignment import best_rotation, normal_rotation
@@ -165,16 +166,8 @@ def test_folded_target_is_followed_where_it_is_trusted(limbed, rng):
 @settings(max_examples=12, deadline=None)
 @given(st.integers(0, 2**31), st.floats(0.0, 0.95), st.floats(0.0, 3.0))
 def test_random_slivers_and_area_ratios_are_embedded(seed, crowd, spread):
-    """Icospheres whose vertices are crowded and scattered: area ratios up to about a million."""
-    rng = np.random.default_rng(seed)
-    ball = icosphere(3)
-    pole = unit(rng.standard_normal(3))
-    near = ball.vertices @ pole
-    shrunk = unit(ball.vertices + 0.99 * crowd * near[:, None] * pole)
-    radius = np.exp(spread * np.sin(3 * ball.vertices @ rng.standard_normal((3, 3))).sum(axis=1))
-    mesh = normalize(Mesh(shrunk * radius[:, None], ball.faces, f"seed {seed}"))
-    u = embed(mesh)
-    assert certify(u, mesh.faces)
+    mesh = slivers(seed, crowd, spread)
+    assert certify(embed(mesh), mesh.faces)
 
 
 def test_polish_is_handed_coarse_meshes_of_full_area(limbed):
