@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from gensp.errors import NotEmbeddable
 from gensp.geometry.assembly import HessianPattern
-from gensp.geometry.linear import factored
+from gensp.geometry.linear import SPDSolver, factored
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.predicates import bad_faces, spherical_orientation
 from gensp.geometry.progress import tell
@@ -20,6 +20,7 @@ _RIDGE = 1e-6  # times the vertex areas: holds the three rotations where nothing
 _SUFFICIENT = 1e-4  # Armijo: part of the predicted decrease that a step must reach
 _SHRINK = 0.5
 _MAX_HALVINGS = 50
+_DAMPINGS = (0.0, 1e-12, 1e-10, 1e-8, 1e-6, 1e-4, 1e-2)
 
 
 @runtime_checkable
@@ -176,8 +177,7 @@ def _minimise(
         frames = tangent_frame(u)
         try:
             gradient, hessian = problem.gradient(u, frames), problem.hessian(u, frames)
-            solver = factored(solver, hessian, problem.mesh.vertices)
-            step = -solver.solve(gradient)
+            step, solver = newton_step(hessian, gradient, problem.mesh.vertices, solver)
         except np.linalg.LinAlgError:
             # Vertices fell together, or triangles are so small that the matrix has no digits left:
             # the map is as good as it gets.
@@ -193,6 +193,34 @@ def _minimise(
         if -0.5 * slope <= max(relative * value, absolute):
             return Refined(u, value, iteration + 1, True)
     return Refined(u, value, max_iterations, False)
+
+
+def newton_step(
+    hessian: scipy.sparse.csc_matrix,
+    gradient: Float[np.ndarray, " k"],
+    points: Float[np.ndarray, "n 3"],
+    solver: SPDSolver | None = None,
+) -> tuple[Float[np.ndarray, " k"], SPDSolver]:
+    """A direction of descent −H⁻¹g, and the solver of H's pattern for the next one.
+
+    Near a collapse entries differ by so many orders that H loses definiteness to rounding. Its
+    diagonal is then raised, by as little as makes the step one of descent.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        None does.
+    """
+    for damping in _DAMPINGS:
+        raised = scipy.sparse.diags(damping * hessian.diagonal(), format="csc")
+        try:
+            solver = factored(solver, hessian + raised if damping else hessian, points)
+            step = -solver.solve(gradient)
+        except np.linalg.LinAlgError:
+            continue
+        if gradient @ step < 0 or not gradient.any():
+            return step, solver
+    raise np.linalg.LinAlgError("no step of descent was found: the matrix has no digits left")
 
 
 def _line_search(

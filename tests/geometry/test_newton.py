@@ -1,11 +1,12 @@
 import numpy as np
 import pytest
+import scipy.sparse
 
 from gensp.errors import NotEmbeddable
 from gensp.geometry.alignment import ball_inversion, best_rotation
 from gensp.geometry.distortion import distortion
 from gensp.geometry.mesh import normalize
-from gensp.geometry.newton import minimise_map, refine_map
+from gensp.geometry.newton import minimise_map, newton_step, refine_map
 from gensp.geometry.predicates import bad_faces, map_degree
 from gensp.geometry.sphere import icosphere, unit
 from gensp.geometry.spherical_energy import SphericalEnergy
@@ -13,6 +14,23 @@ from gensp.geometry.spherical_energy import SphericalEnergy
 
 def _moebius_start(centre=(0.5, -0.3, 0.1)):
     return ball_inversion(icosphere(3).vertices, np.array(centre))
+
+
+def test_a_matrix_that_lost_definiteness_still_gives_a_descent():
+    hessian = scipy.sparse.csc_matrix([[1.0, 1 + 1e-9], [1 + 1e-9, 1.0]])
+    gradient = np.array([1.0, -1.0])
+    plain = -np.linalg.solve(hessian.toarray(), gradient)
+    assert gradient @ plain > 0
+    step, _ = newton_step(hessian, gradient, np.zeros((2, 3)))
+    assert gradient @ step < 0
+    sound = scipy.sparse.csc_matrix([[2.0, 1.0], [1.0, 3.0]])
+    step, solver = newton_step(sound, gradient, np.zeros((2, 3)))
+    np.testing.assert_allclose(sound @ step, -gradient, atol=1e-15)
+    again, same = newton_step(2 * sound, gradient, np.zeros((2, 3)), solver)
+    assert same is solver
+    np.testing.assert_allclose(again, step / 2, atol=1e-15)
+    with pytest.raises(np.linalg.LinAlgError, match="no step of descent"):
+        newton_step(-sound, gradient, np.zeros((2, 3)))
 
 
 def test_sphere_returns_to_its_identity():
