@@ -13,6 +13,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import InterpolationKeyError
 
+import conf
 from gensp.errors import GenSPError, MissingData, Unsupported
 from gensp.runs import Run, Runs
 from gensp.sweeps import suffixes
@@ -68,6 +69,28 @@ def require_values(cfg: DictConfig) -> None:
         raise MissingData(
             f"{', '.join(missing)}: no value was given; one is required; add {missing[0]}=VALUE"
         )
+
+
+def require_numbers(cfg: DictConfig) -> None:
+    """Refuse a word where the recipe of the paper has a number or a truth value.
+
+    Raises
+    ------
+    Unsupported
+        The key, what was found, and a value that it may hold.
+    """
+    known = OmegaConf.load(Path(conf.__file__).parent / "recipe/paper.yaml")
+    pending = [("recipe", cfg.recipe, known)]
+    while pending:
+        name, found, model = pending.pop()
+        for key in model:
+            value, example, place = found.get(key), model.get(key), f"{name}.{key}"
+            if isinstance(example, DictConfig) and isinstance(value, DictConfig):
+                pending.append((place, value, example))
+            elif isinstance(value, str) and isinstance(example, int | float):
+                raise Unsupported(
+                    f"{place}: is '{value}'; a value such as {example} is required; correct it"
+                )
 
 
 def _unknown_word(cfg: DictConfig, complaint: str) -> str:

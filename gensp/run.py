@@ -11,7 +11,13 @@ from hydra import compose
 from omegaconf import DictConfig
 
 from gensp.checksums import require_intact
-from gensp.configuration import require_taken, require_values, runs_of, settings_of
+from gensp.configuration import (
+    require_numbers,
+    require_taken,
+    require_values,
+    runs_of,
+    settings_of,
+)
 from gensp.data.raw import require_apart, require_rule
 from gensp.errors import OutputError
 from gensp.machine import first_process
@@ -45,6 +51,7 @@ def run(cfg: DictConfig, overrides: Sequence[str] = (), *, sweep: bool = False) 
         start processes of its own where it cannot.
     """
     require_taken(cfg, overrides)
+    require_numbers(cfg)
     require_startable(cfg.trainer, stage=cfg.stage.name, sweep=sweep)
     require_rule(cfg.stage.name, cfg.shapes.get("on_bad"))
     if cfg.stage.name == "prepare":

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from slivers import slivers
 
@@ -15,6 +15,7 @@ from gensp.compiled.energies import energy_slopes_of, energy_values_of
 from gensp.compiled.fronts import extend_add
 from gensp.compiled.growth import insert, sweep
 from gensp.compiled.projection import raise_negative
+from gensp.errors import NotEmbeddable
 from gensp.geometry.certificate import certify
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.newton import minimise_map
@@ -53,20 +54,36 @@ def test_map_is_certified_and_keeps_coordinates(method, limbed):
     assert map.diagnostics["seconds"] > 0
 
 
-@settings(max_examples=8, deadline=None)
-@given(
-    st.sampled_from(["dirichlet", "stretch"]),
-    st.integers(0, 2**31),
-    st.floats(0.0, 0.95),
-    st.floats(0.0, 3.0),
-)
-def test_random_slivers_are_mapped_and_read_back_certified(name, seed, crowd, spread):
-    map = METHODS[name]()(slivers(seed, crowd, spread))
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 2**31), st.floats(0.0, 0.95), st.floats(0.0, 3.0))
+@example(0, 0.0, 3.0)
+def test_random_slivers_are_mapped_and_read_back_certified(seed, crowd, spread):
+    map = dirichlet()(slivers(seed, crowd, spread))
     assert certify(map.sphere, map.faces)
     assert np.isfinite(map.distortion().max)
     with tempfile.TemporaryDirectory() as folder:
         save_map(map, folder)
         assert load_map(f"{folder}/{map.name}.npz").certify()
+
+
+@settings(max_examples=6, deadline=None)
+@given(
+    st.sampled_from(["stretch", "ahsp"]),
+    st.integers(0, 2**31),
+    st.floats(0.0, 0.95),
+    st.floats(0.0, 3.0),
+)
+@example("stretch", 0, 0.0, 3.0)
+def test_no_method_folds_in_silence(name, seed, crowd, spread):
+    """Energies that crowd what is small may find no place for a vertex, and say which."""
+    mesh = slivers(seed, crowd, spread)
+    try:
+        map = METHODS[name]()(mesh)
+    except NotEmbeddable as error:
+        told = str(error)
+    else:
+        told = "" if certify(map.sphere, map.faces) else "folded"
+    assert told == "" or "finds no place on the sphere in double precision" in told
 
 
 def test_the_order_of_vertices_and_faces_changes_no_figure(limbed, rng):

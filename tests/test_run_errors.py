@@ -137,6 +137,26 @@ def test_unknown_word_lists_the_known_ones(words: tuple[str, ...], line: str) ->
 
 
 @pytest.mark.parametrize(
+    ("word", "line"),
+    [
+        (
+            "finetune.isometry_weight=abc",
+            "finetune.isometry_weight: is 'abc'; a value such as 0.01",
+        ),
+        ("implicit.sdf.near=many", "implicit.sdf.near: is 'many'; a value such as 50000"),
+        (
+            "finetune.train_encoder=maybe",
+            "finetune.train_encoder: is 'maybe'; a value such as True",
+        ),
+    ],
+)
+def test_a_word_in_place_of_a_number_is_told_before_anything_runs(word: str, line: str) -> None:
+    key = word.split("=")[0]
+    with pytest.raises(Unsupported, match=re.escape(f"recipe.{key}: {line} is required")):
+        run_here(f"recipe.{word}")
+
+
+@pytest.mark.parametrize(
     ("words", "line"),
     [
         (("method=arap", "refine=certify"), "refine=certify: .*arap, which takes neither fit="),

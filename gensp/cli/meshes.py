@@ -81,8 +81,9 @@ def repair(
     non-manifold edges, holes, and drops all parts but the largest. Nothing
     is written unless the result is sound.
     """
-    from gensp.cli.repair import mended, report, write
+    from gensp.cli.repair import mended, report, require_other, write
 
+    require_other(mesh, out)
     result = mended(
         mesh,
         remesh=remesh,

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gensp.cli.terminal import progress, two_columns, written
-from gensp.errors import BadMesh, NotGenusZero, Unsupported
+from gensp.errors import BadMesh, NotGenusZero, OutputError, Unsupported
 from gensp.export.polygons import write_ply
 from gensp.export.wavefront import write_obj
 from gensp.geometry.diagnosis import Diagnosis, diagnose
@@ -64,6 +64,23 @@ def _remeshed(path: Path, mesh: Mesh, resolution: int, vertices: int) -> Mended:
     return Mended(mesh, replace(solid.mesh, name=path.stem), steps)
 
 
+def require_other(mesh: Path, out: Path) -> None:
+    """Refuse to write over the mesh that is mended: parts of it may be dropped.
+
+    Raises
+    ------
+    OutputError
+        Both are one file.
+    Unsupported
+        The suffix names no format of meshes.
+    """
+    if out.resolve() == mesh.resolve():
+        raise OutputError(
+            f"{mesh}: would be overwritten by what is mended; another file is required; name it"
+        )
+    _require_format(out)
+
+
 def write(mesh: Mesh, path: Path) -> None:
     """Write a mended mesh, ply and obj with all digits.
 
@@ -72,18 +89,22 @@ def write(mesh: Mesh, path: Path) -> None:
     Unsupported
         The suffix names no format of meshes.
     """
+    _require_format(path)
     end = path.suffix.lower()
-    if end not in FORMATS:
-        raise Unsupported(
-            f"{path}: format '{path.suffix}' is not written; one of {', '.join(FORMATS)} is "
-            "required; name another file"
-        )
     if end == ".obj":
         write_obj(path, mesh.vertices, mesh.faces)
     elif end == ".ply":
         write_ply(path, mesh)
     else:
         save_mesh(mesh, path)
+
+
+def _require_format(path: Path) -> None:
+    if path.suffix.lower() not in FORMATS:
+        what = "is a folder" if path.is_dir() else f"format '{path.suffix}' is not written"
+        raise Unsupported(
+            f"{path}: {what}; one of {', '.join(FORMATS)} is required; name another file"
+        )
 
 
 def report(result: Mended, path: Path) -> None:

@@ -98,6 +98,15 @@ def test_repair_refuses_formats_it_cannot_write(refused: Refused, tmp_path: Path
     assert "format '.xyz' is not written" in refused("repair", broken, tmp_path / "cup.xyz")
 
 
+def test_a_mesh_is_not_overwritten_by_what_is_mended(refused: Refused, tmp_path: Path) -> None:
+    path = tmp_path / "two.ply"
+    DEFECTS["two_parts"][0](path)
+    before = path.read_bytes()
+    assert "would be overwritten by what is mended" in refused("repair", path, path)
+    assert path.read_bytes() == before
+    assert f"{tmp_path}: is a folder; one of .ply" in refused("repair", path, tmp_path)
+
+
 @pytest.mark.parametrize("defect", ["empty", "no_triangles", "garbage", "truncated", "flat"])
 def test_repair_of_nothing_is_told(refused: Refused, tmp_path: Path, defect: str) -> None:
     path = tmp_path / f"{defect}.ply"
