@@ -139,15 +139,9 @@ def test_unknown_word_lists_the_known_ones(words: tuple[str, ...], line: str) ->
 @pytest.mark.parametrize(
     ("word", "line"),
     [
-        (
-            "finetune.isometry_weight=abc",
-            "finetune.isometry_weight: is 'abc'; a value such as 0.01",
-        ),
-        ("implicit.sdf.near=many", "implicit.sdf.near: is 'many'; a value such as 50000"),
-        (
-            "finetune.train_encoder=maybe",
-            "finetune.train_encoder: is 'maybe'; a value such as True",
-        ),
+        ("finetune.isometry_weight=abc", "is 'abc'; a value such as 0.01"),
+        ("implicit.sdf.near=many", "is 'many'; a value such as 50000"),
+        ("finetune.train_encoder=maybe", "is 'maybe'; a value such as True"),
     ],
 )
 def test_a_word_in_place_of_a_number_is_told_before_anything_runs(word: str, line: str) -> None:
