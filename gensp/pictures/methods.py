@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 # Beyond it a map is of no use, and the axis would hide what differs below.
 _LARGEST = 1e3
+_MANY = 10  # times the smallest mean σ: from there on its axis is logarithmic
 _MARKERS = "osD^vP*X<>"
 
 
@@ -65,6 +66,10 @@ def _scatter(panel: "Axes", methods: Sequence[MethodFigures]) -> None:
     for place, method in enumerate(methods):
         if method.error is not None and method.sigma_mean is not None:
             panel.plot([method.error], [method.sigma_mean], markersize=8, **_style(place))
+    heights = [m.sigma_mean for m in methods if m.sigma_mean and np.isfinite(m.sigma_mean)]
+    # One method without bound must not press the others together.
+    if heights and max(heights) > _MANY * min(heights):
+        panel.set_yscale("log")
     panel.set(xlabel="error (registered) / √area", ylabel="mean σ")
     panel.margins(0.12)
     plain(panel, legend=False)
