@@ -13,10 +13,12 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import InterpolationKeyError
 
-import conf
 from gensp.errors import GenSPError, MissingData, Unsupported
 from gensp.runs import Run, Runs
 from gensp.sweeps import suffixes
+
+# Every key of a recipe, with a value of its kind.
+_PAPER = Path(__file__).parents[1] / "conf/recipe/paper.yaml"
 
 _TRAINER_SCIENCE = (
     "max_epochs",
@@ -79,7 +81,7 @@ def require_numbers(cfg: DictConfig) -> None:
     Unsupported
         The key, what was found, and a value that it may hold.
     """
-    known = OmegaConf.load(Path(conf.__file__).parent / "recipe/paper.yaml")
+    known = OmegaConf.load(_PAPER)
     pending = [("recipe", cfg.recipe, known)]
     while pending:
         name, found, model = pending.pop()
