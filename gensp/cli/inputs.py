@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gensp.cli.terminal import compile_announced, progress
-from gensp.errors import DamagedFile, NotGenusZero, UnreadableMesh, Unsupported
+from gensp.errors import DamagedFile, NotGenusZero, OutputError, UnreadableMesh, Unsupported
 from gensp.files import load_npz
 from gensp.geometry.diagnosis import diagnose, repair_command
 from gensp.geometry.mesh import FORMATS, Mesh, load_mesh
@@ -32,6 +32,20 @@ def sound_mesh(path: Path) -> Mesh:
             f"{repair_command(path, found)}"
         )
     return mesh
+
+
+def require_other(mesh: Path, written: Path, *, by: str, remedy: str) -> None:
+    """Refuse to write over the mesh that is read: colours or parts of it would be lost.
+
+    Raises
+    ------
+    OutputError
+        Both are one file.
+    """
+    if written.resolve() == mesh.resolve():
+        raise OutputError(
+            f"{mesh}: would be overwritten by {by}; another place is required; {remedy}"
+        )
 
 
 def is_map(path: Path) -> bool:

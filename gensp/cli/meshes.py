@@ -81,9 +81,11 @@ def repair(
     non-manifold edges, holes, and drops all parts but the largest. Nothing
     is written unless the result is sound.
     """
-    from gensp.cli.repair import mended, report, require_other, write
+    from gensp.cli.inputs import require_other
+    from gensp.cli.repair import mended, report, require_format, write
 
-    require_other(mesh, out)
+    require_other(mesh, out, by="what is mended", remedy="name another file")
+    require_format(out)
     result = mended(
         mesh,
         remesh=remesh,

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gensp.cli.options import Method, Model, Out, Register
-from gensp.errors import OutputError
 
 if TYPE_CHECKING:
     from gensp.geometry.spherical_map import SphericalMap
@@ -39,12 +38,13 @@ def parameterize(
     Writes <stem>.npz (vertices, faces, sphere), <stem>.ply (the same, with
     doubles px py pz) and <stem>_sphere.obj.
     """
-    from gensp.cli.inputs import chosen_method, sound_mesh
+    from gensp.cli.inputs import chosen_method, require_other, sound_mesh
     from gensp.cli.terminal import compile_announced, progress, two_columns, written
 
     found = chosen_method(method, model, register)
     surface = sound_mesh(mesh)
-    _require_other(mesh, out / f"{surface.name}.ply")
+    written_to = out / f"{surface.name}.ply"
+    require_other(mesh, written_to, by="its map", remedy="add --out FOLDER")
     compile_announced()
     began = time.perf_counter()
     with progress(surface.name):
@@ -58,15 +58,6 @@ def parameterize(
     if geometry_image is not None:
         paths += _write_image(map, out, geometry_image)
     two_columns(map.name, [*_figures(map, seconds), written(paths)])
-
-
-def _require_other(mesh: Path, written: Path) -> None:
-    """Refuse to write the map over the mesh that it is of, whose colours would be lost."""
-    if written.resolve() == mesh.resolve():
-        raise OutputError(
-            f"{mesh}: would be overwritten by its map; another folder is required; "
-            "add --out FOLDER"
-        )
 
 
 def _figures(map: "SphericalMap", seconds: float) -> list[tuple[str, str]]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gensp.cli.terminal import progress, two_columns, written
-from gensp.errors import BadMesh, NotGenusZero, OutputError, Unsupported
+from gensp.errors import BadMesh, NotGenusZero, Unsupported
 from gensp.export.polygons import write_ply
 from gensp.export.wavefront import write_obj
 from gensp.geometry.diagnosis import Diagnosis, diagnose
@@ -64,23 +64,6 @@ def _remeshed(path: Path, mesh: Mesh, resolution: int, vertices: int) -> Mended:
     return Mended(mesh, replace(solid.mesh, name=path.stem), steps)
 
 
-def require_other(mesh: Path, out: Path) -> None:
-    """Refuse to write over the mesh that is mended: parts of it may be dropped.
-
-    Raises
-    ------
-    OutputError
-        Both are one file.
-    Unsupported
-        The suffix names no format of meshes.
-    """
-    if out.resolve() == mesh.resolve():
-        raise OutputError(
-            f"{mesh}: would be overwritten by what is mended; another file is required; name it"
-        )
-    _require_format(out)
-
-
 def write(mesh: Mesh, path: Path) -> None:
     """Write a mended mesh, ply and obj with all digits.
 
@@ -89,7 +72,7 @@ def write(mesh: Mesh, path: Path) -> None:
     Unsupported
         The suffix names no format of meshes.
     """
-    _require_format(path)
+    require_format(path)
     end = path.suffix.lower()
     if end == ".obj":
         write_obj(path, mesh.vertices, mesh.faces)
@@ -99,7 +82,14 @@ def write(mesh: Mesh, path: Path) -> None:
         save_mesh(mesh, path)
 
 
-def _require_format(path: Path) -> None:
+def require_format(path: Path) -> None:
+    """Refuse a name whose suffix is that of no format of meshes.
+
+    Raises
+    ------
+    Unsupported
+        Another suffix, or a folder.
+    """
     if path.suffix.lower() not in FORMATS:
         what = "is a folder" if path.is_dir() else f"format '{path.suffix}' is not written"
         raise Unsupported(
