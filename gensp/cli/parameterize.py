@@ -43,8 +43,7 @@ def parameterize(
 
     found = chosen_method(method, model, register)
     surface = sound_mesh(mesh)
-    written_to = out / f"{surface.name}.ply"
-    require_other(mesh, written_to, by="its map", remedy="add --out FOLDER")
+    require_other(mesh, out / f"{surface.name}.ply", by="its map", remedy="add --out FOLDER")
     compile_announced()
     began = time.perf_counter()
     with progress(surface.name):
