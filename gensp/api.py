@@ -1,5 +1,6 @@
 """Arrays in, arrays out: what `import gensp` offers for one mesh."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -7,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from gensp.errors import DegenerateMesh, MissingStage
-from gensp.geometry.mesh import Mesh, require_genus_zero
+from gensp.errors import DegenerateMesh, MissingStage, Unsupported
+from gensp.geometry.mesh import FORMATS, Mesh, require_genus_zero
 from gensp.geometry.spherical_map import SphericalMap
 from gensp.methods import SphericalParameterization
 from gensp.methods.table import DEFAULT, per_shape
@@ -107,12 +108,8 @@ def load(model: Path | str, *, register: bool | None = None, **settings: Any) ->
 
     models = shipped()
     known = models.get(str(model))
-    # A wrong name is told before torch is loaded, which takes seconds.
-    if known is None and not Path(model).is_file():
-        raise MissingStage(
-            f"{model}: does not exist; a trained model.pt or a model of the package "
-            f"({', '.join(sorted(models))}) is required; run python train.py stage=finetune"
-        )
+    if known is None:
+        _require_model_file(Path(model), models)
     from gensp.methods.fitting import NoFit, RegisterFit
     from gensp.methods.gensp import GenSP
     from gensp.methods.refinement import CertifiedRefinement
@@ -123,3 +120,13 @@ def load(model: Path | str, *, register: bool | None = None, **settings: Any) ->
     if register is not None and not (register and isinstance(chosen["fit"], RegisterFit)):
         chosen["fit"] = RegisterFit() if register else NoFit()
     return GenSP.load(model if known is None else known.path, **{**chosen, **settings})
+
+
+def _require_model_file(path: Path, names: Iterable[str]) -> None:
+    """A wrong name is told before torch is loaded, which takes seconds."""
+    required = f"a trained model.pt or a model of the package ({', '.join(sorted(names))})"
+    remedy = "run python train.py stage=finetune"
+    if not path.is_file():
+        raise MissingStage(f"{path}: does not exist; {required} is required; {remedy}")
+    if path.suffix.lower() in (*FORMATS, ".npz"):
+        raise Unsupported(f"{path}: is a mesh or a map; {required} is required; {remedy}")

@@ -25,8 +25,11 @@ def card(
     stage=prepare has left.
     """
     from gensp.card import write_card
+    from gensp.cli.inputs import require_folder
     from gensp.cli.terminal import two_columns, written
 
     checked_axis(up)
+    if out is not None:
+        require_folder(out)
     paths = write_card(folder, name=name, up=up, out=out, shown=shown)
     two_columns(folder.name, [written(paths)])

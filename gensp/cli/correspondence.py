@@ -29,10 +29,12 @@ def match(
     barycentric weights, position, and a reliability in [0, 1]: 1 where the
     surroundings of the vertex keep their size and shape, less where not.
     """
+    from gensp.cli.inputs import require_folder
     from gensp.cli.pairs import pair_of
     from gensp.cli.terminal import two_columns, written
     from gensp.geometry.matching import matching
 
+    require_folder(out)
     pair = pair_of(a, b, method=method, model=model, register=register, align=align)
     known = (pair.a.arrays.get("reliability"), pair.b.arrays.get("reliability"))
     first, second = pair.names
@@ -82,19 +84,18 @@ def transfer(
     baked into one picture of the sphere, which the target wears: OUT.glb,
     OUT.obj, OUT.mtl, OUT.png.
     """
+    from gensp.cli.inputs import require_folder, require_place
     from gensp.cli.pairs import pair_of
     from gensp.cli.terminal import two_columns, written
-    from gensp.cli.transfer import transfer_attribute, transfer_texture
-    from gensp.errors import Unsupported
+    from gensp.cli.transfer import require_one, transfer_attribute, transfer_texture
 
-    if (attribute is None) == (texture is None):
-        raise Unsupported(
-            "transfer: nothing to carry, or two things at once; one of --attribute and --texture "
-            "is required; name one"
-        )
-    pair = pair_of(source, target, align=align)
+    require_one(attribute, texture)
     if texture is not None:
-        paths = transfer_texture(pair, texture, out, height)
+        require_folder(out.parent)
+        pair = pair_of(source, target, align=align)
+        rows = [written(transfer_texture(pair, texture, out, height))]
     else:
-        paths = transfer_attribute(pair, str(attribute), out)
-    two_columns(f"{pair.a.name} → {pair.b.name}", [written(paths)])
+        require_place(out)
+        pair = pair_of(source, target, align=align)
+        rows = transfer_attribute(pair, str(attribute), out)
+    two_columns(f"{pair.a.name} → {pair.b.name}", rows)

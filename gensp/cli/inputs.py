@@ -1,5 +1,6 @@
-"""What the commands read: sound meshes, maps, methods."""
+"""What the commands read, and where they write: sound meshes, maps, methods, places."""
 
+import os
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
@@ -46,6 +47,36 @@ def require_other(mesh: Path, written: Path, *, by: str, remedy: str) -> None:
         raise OutputError(
             f"{mesh}: would be overwritten by {by}; another place is required; {remedy}"
         )
+
+
+def require_folder(out: Path) -> None:
+    """Refuse a folder for output that cannot be written, before anything is computed.
+
+    Raises
+    ------
+    OutputError
+        It or a folder above is a file, or may not be written.
+    """
+    there = next(path for path in (out, *out.absolute().parents) if path.exists())
+    if not there.is_dir():
+        raise OutputError(f"{there}: is a file; a folder is required; name another place")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise OutputError(
+            f"{there}: cannot be written; permission is required; name another place"
+        )
+
+
+def require_place(out: Path) -> None:
+    """Refuse a file for output that is a folder, or whose folder cannot be written.
+
+    Raises
+    ------
+    OutputError
+        As said.
+    """
+    if out.is_dir():
+        raise OutputError(f"{out}: is a folder; a file is required; name one in it")
+    require_folder(out.parent)
 
 
 def is_map(path: Path) -> bool:

@@ -30,15 +30,15 @@ def check(
     bad = [path for path, (usable, _) in zip(files, found, strict=True) if not usable]
     if bad:
         raise BadMesh(
-            f"{bad[0]}: cannot be used, as {len(bad)} of {len(files)} meshes; one closed surface "
-            "of genus 0 is required; the list names the remedies"
+            f"{', '.join(map(str, bad))}: {len(bad)} of {len(files)} meshes cannot be used; one "
+            "closed surface of genus 0 is required; the list names the remedies"
         )
 
 
 def _checked(path: Path, max_faces: int) -> tuple[bool, list[str]]:
     """Whether a mesh can be used, and the verdict with all findings."""
     from gensp.errors import BadMesh
-    from gensp.geometry.diagnosis import diagnose
+    from gensp.geometry.diagnosis import diagnose, repair_command
     from gensp.geometry.mesh import load_mesh
 
     try:
@@ -51,7 +51,7 @@ def _checked(path: Path, max_faces: int) -> tuple[bool, list[str]]:
         seen = ", ".join(what for what, _ in found.findings) or "nothing"
         return True, [f"usable: {size}; found: {seen}"]
     findings = [f"{what} → {remedy}" for what, remedy in found.findings]
-    return False, [f"not usable: {size}", *findings]
+    return False, [f"not usable: {size}", *findings, f"type: {repair_command(path, found)}"]
 
 
 def repair(
@@ -81,11 +81,12 @@ def repair(
     non-manifold edges, holes, and drops all parts but the largest. Nothing
     is written unless the result is sound.
     """
-    from gensp.cli.inputs import require_other
+    from gensp.cli.inputs import require_other, require_place
     from gensp.cli.repair import mended, report, require_format, write
 
     require_other(mesh, out, by="what is mended", remedy="name another file")
     require_format(out)
+    require_place(out)
     result = mended(
         mesh,
         remesh=remesh,

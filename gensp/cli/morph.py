@@ -28,12 +28,14 @@ def morph(
     Writes <a>_<b>_000.ply, … and a strip of pictures in the sphere's
     texture, <a>_<b>.png.
     """
+    from gensp.cli.inputs import require_folder
     from gensp.cli.pairs import pair_of
     from gensp.cli.terminal import two_columns, written
     from gensp.export.polygons import write_ply
     from gensp.geometry.morph import morphed
 
     checked_axis(up)
+    require_folder(out)
     pair = pair_of(a, b, method=method, model=model, register=register, align=align)
     stem = "_".join(pair.names)
     meshes = morphed(pair.a, pair.b, frames, level=icosphere, rotation=pair.rotation)

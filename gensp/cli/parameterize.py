@@ -38,9 +38,10 @@ def parameterize(
     Writes <stem>.npz (vertices, faces, sphere), <stem>.ply (the same, with
     doubles px py pz) and <stem>_sphere.obj.
     """
-    from gensp.cli.inputs import chosen_method, require_other, sound_mesh
+    from gensp.cli.inputs import chosen_method, require_folder, require_other, sound_mesh
     from gensp.cli.terminal import compile_announced, progress, two_columns, written
 
+    require_folder(out)
     found = chosen_method(method, model, register)
     surface = sound_mesh(mesh)
     require_other(mesh, out / f"{surface.name}.ply", by="its map", remedy="add --out FOLDER")
@@ -50,12 +51,9 @@ def parameterize(
         map = found(surface)
     seconds = time.perf_counter() - began
     paths = _write_map(map, out)
-    if texture:
-        paths += _write_texture(map, out)
-    if icosphere is not None:
-        paths += _write_remesh(map, out, icosphere)
-    if geometry_image is not None:
-        paths += _write_image(map, out, geometry_image)
+    paths += _write_texture(map, out) if texture else []
+    paths += [] if icosphere is None else _write_remesh(map, out, icosphere)
+    paths += [] if geometry_image is None else _write_image(map, out, geometry_image)
     two_columns(map.name, [*_figures(map, seconds), written(paths)])
 
 

@@ -52,8 +52,10 @@ def export_(
 ) -> None:
     """Write all runs of a folder as one table."""
     from gensp.catalogue import export, find_runs
+    from gensp.cli.inputs import require_place
     from gensp.cli.terminal import two_columns, written
 
+    require_place(out)
     entries = find_runs(root)
     export(entries, out)
     two_columns(out.name, [("runs", str(len(entries))), written([out])])

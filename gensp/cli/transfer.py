@@ -7,6 +7,7 @@ import numpy as np
 import trimesh
 
 from gensp.cli.pairs import Pair
+from gensp.cli.terminal import written
 from gensp.errors import DamagedFile, MissingData, UnreadableMesh, Unsupported
 from gensp.export.baking import baked_picture, read_textured
 from gensp.export.polygons import write_ply
@@ -15,14 +16,33 @@ from gensp.files import load_npz, save_npz
 from gensp.geometry.transfer import transfer
 
 
+def require_one(attribute: str | None, texture: Path | None) -> None:
+    """Refuse to carry nothing, or two things at once.
+
+    Raises
+    ------
+    Unsupported
+        Both are given, or neither.
+    """
+    if attribute is not None and texture is not None:
+        raise Unsupported(
+            "transfer: --attribute and --texture together; one of them is required; leave one out"
+        )
+    if attribute is None and texture is None:
+        raise Unsupported(
+            "transfer: nothing to carry; --attribute FILE.npz:NAME or --texture FILE is required; "
+            "add one"
+        )
+
+
 def transfer_texture(pair: Pair, path: Path, out: Path, height: int) -> list[Path]:
     """Bake the source's texture and dress the target in it."""
     picture = baked_picture(read_textured(path), pair.a, height, pair.rotation)
     return write_textured(pair.b, picture, out)
 
 
-def transfer_attribute(pair: Pair, attribute: str, out: Path) -> list[Path]:
-    """Carry one array from vertices to vertices."""
+def transfer_attribute(pair: Pair, attribute: str, out: Path) -> list[tuple[str, str]]:
+    """Carry one array from vertices to vertices; returns what is to be told."""
     name, values = _read(attribute)
     carried = transfer(values, pair.a, pair.b, pair.rotation)
     if out.suffix.lower() == ".npz":
@@ -34,7 +54,19 @@ def transfer_attribute(pair: Pair, attribute: str, out: Path) -> list[Path]:
             f"{out}: format '{out.suffix}' is not written; .npz, or .ply for colours, is "
             "required; name another file"
         )
-    return [out]
+    return [*_unknown(values, carried), written([out])]
+
+
+def _unknown(values: np.ndarray, carried: np.ndarray) -> list[tuple[str, str]]:
+    """How many rows hold what is no number: such spread to every face that they touch."""
+    if values.dtype.kind != "f" or np.isfinite(values).all():
+        return []
+    before, after = (_not_finite(rows) for rows in (values, carried))
+    return [("not finite", f"{before} of {len(values)} vertices → {after} of {len(carried)}")]
+
+
+def _not_finite(rows: np.ndarray) -> int:
+    return int((~np.isfinite(rows.reshape(len(rows), -1)).all(axis=1)).sum())
 
 
 def _write_colours(pair: Pair, colours: np.ndarray, out: Path) -> None:

@@ -17,13 +17,15 @@ def view(
     up: Up = "y",
 ) -> None:
     """Write a page, which needs no network, where shape and sphere turn in one texture."""
-    from gensp.cli.inputs import read_map
+    from gensp.cli.inputs import read_map, require_place
     from gensp.cli.terminal import two_columns, written
     from gensp.cli.view_page import write_page
 
     checked_axis(up)
+    page = out or map.with_suffix(".html")
+    require_place(page)
     found = read_map(map)
-    page = write_page(found, out or map.with_suffix(".html"), up)
+    write_page(found, page, up)
     two_columns(found.name, [("certificate", str(found.certify())), written([page])])
     if open:
         typer.launch(str(page.resolve()))

@@ -63,7 +63,8 @@ def test_check_breaks_no_name(gensp: Run, tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setenv("COLUMNS", "80")
     lines = gensp("check", ring)[1].splitlines()
     assert lines[0] == str(ring)
-    assert lines[-1] == "  genus 1 → gensp repair --remesh"
+    assert lines[-2] == "  genus 1 → gensp repair --remesh"
+    assert lines[-1] == f"  type: gensp repair {ring} {ring.stem}_mended.ply --remesh"
 
 
 @pytest.mark.parametrize("end", [".ply", ".obj", ".off"])

@@ -95,7 +95,7 @@ def test_textured_obj_is_a_closed_surface(bumpy_map: SphericalMap, tmp_path: Pat
 
 def test_folder_that_cannot_be_written(refused: Refused, bumpy_file: Path) -> None:
     line = refused("parameterize", bumpy_file, "--out", bumpy_file / "below")
-    assert "cannot be written" in line
+    assert "is a file; a folder is required" in line
     assert "paths.runs" not in line
 
 

@@ -109,7 +109,8 @@ def test_transfer_of_a_texture(
         (["--attribute", "{map}:faces"], "each of its 642 vertices is required"),
         (["--attribute", "{ply}"], "has no vertex colours"),
         (["--texture", "{ply}"], "no texture coordinates or no picture"),
-        ([], "one of --attribute and --texture is required"),
+        (["--attribute", "{map}:sphere", "--texture", "{ply}"], "together; one of them"),
+        ([], "nothing to carry; --attribute FILE.npz:NAME or --texture FILE is required"),
     ],
 )
 def test_transfer_of_nothing_is_told(
