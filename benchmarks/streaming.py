@@ -27,11 +27,12 @@ from lightning import Callback, LightningDataModule, LightningModule, Trainer, s
 from rich.console import Console
 
 from gensp.data.blobs import BlobFamily, generate_blobs
+from gensp.data.fitting import Batching
 from gensp.data.items import item_path
 from gensp.data.loading import AheadLoader
 from gensp.data.sdf import SdfSampler
 from gensp.data.shapes import ShapeCollection
-from gensp.data.training import Batching, CorrespondenceModule, SdfModule
+from gensp.data.training import CorrespondenceModule, SdfModule
 from gensp.files import read_json, save_npz, write_json
 from gensp.geometry.distance import closest_point
 from gensp.geometry.mesh import load_mesh, normalize

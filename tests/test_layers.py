@@ -42,8 +42,9 @@ ALLOWED["comparison"] = CORE | {"tables", "benchmark", "pictures"}
 ALLOWED["card"] = CORE | {"data", "geometry", "pictures", "tables"}
 ALLOWED["catalogue"] = CORE | {"checksums", "tables"}
 ALLOWED["data.modules"] = ALLOWED["data"] | {"runs", "data"}
-ALLOWED["data.training"] = ALLOWED["data"] | {"runs", "data", "data.modules"}
-ALLOWED["tasks"] = set(ALLOWED) - {"data.modules", "data.training"}
+ALLOWED["data.fitting"] = ALLOWED["data"] | {"data", "data.modules"}
+ALLOWED["data.training"] = ALLOWED["data.fitting"] | {"runs", "data.fitting"}
+ALLOWED["tasks"] = set(ALLOWED) - {"data.modules", "data.fitting", "data.training"}
 ALLOWED["terminal"] = CORE | {"machine", "tables", "comparison"}
 ALLOWED["mistakes"] = CORE | {"terminal"}
 ALLOWED["sweeps"] = CORE
@@ -67,7 +68,7 @@ ALLOWED["cli"] = CORE | {
 }
 ALLOWED["__main__"] = {"cli"}
 
-LIGHTNING = {"stages", "data.modules", "data.training", "execution"}
+LIGHTNING = {"stages", "data.modules", "data.fitting", "data.training", "execution"}
 HYDRA = {"configuration", "execution", "mistakes", "run", "sweeps"}
 
 LONGEST = 45  # lines of a function, its docstring included

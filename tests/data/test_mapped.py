@@ -17,10 +17,11 @@ import torch
 
 from gensp.data.batches import CorrespondenceDataset, EpochDataset, SdfDataset
 from gensp.data.clouds import SurfaceSampler, point_clouds, sphere_cloud
+from gensp.data.fitting import Batching
 from gensp.data.loading import epoch_loader
 from gensp.data.mapped import MappedArray, stored, write_rows
 from gensp.data.sdf import SdfSampler
-from gensp.data.training import Batching, CorrespondenceModule, SdfModule
+from gensp.data.training import CorrespondenceModule, SdfModule
 from gensp.errors import DamagedFile, OutputError
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.sphere import icosphere

@@ -8,9 +8,10 @@ import torch
 from lightning import LightningModule, Trainer
 
 from gensp.data.batches import CorrespondenceBatch, SdfBatch
+from gensp.data.fitting import Batching
 from gensp.data.loading import epoch_loader
 from gensp.data.sdf import SdfSampler
-from gensp.data.training import Batching, CorrespondenceModule, SdfModule
+from gensp.data.training import CorrespondenceModule, SdfModule
 from gensp.errors import MissingData
 from gensp.files import save_npz, write_json
 from gensp.geometry.mesh import Mesh, normalize

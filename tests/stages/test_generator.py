@@ -8,7 +8,8 @@ import torch
 from lightning import Trainer, seed_everything
 from lightning.pytorch.callbacks import ModelCheckpoint
 
-from gensp.data.training import Batching, CorrespondenceModule
+from gensp.data.fitting import Batching
+from gensp.data.training import CorrespondenceModule
 from gensp.files import load_npz, save_npz, write_json
 from gensp.geometry.distance import ClosestPointTree
 from gensp.geometry.distortion import distortion

@@ -6,8 +6,9 @@ import torch
 from lightning import Callback, Trainer, seed_everything
 from lightning.pytorch.callbacks import ModelCheckpoint
 
+from gensp.data.fitting import Batching
 from gensp.data.sdf import SdfSampler
-from gensp.data.training import Batching, SdfModule
+from gensp.data.training import SdfModule
 from gensp.files import load_npz
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.sphere import icosphere
