@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 from gensp.data.ground_truth import common_points
 from gensp.data.shapes import ShapeCollection
 from gensp.files import atomic_path
-from gensp.geometry.consistency import correspondence_error
+from gensp.geometry.implied import correspondence_error
 from gensp.geometry.mesh import normalize
 from gensp.geometry.spherical_map import SphericalMap, load_map
 from gensp.pictures.montage import Tile, rows_of

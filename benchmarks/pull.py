@@ -20,8 +20,9 @@ import numpy as np
 from gensp.data.ground_truth import common_points
 from gensp.data.shapes import ShapeCollection
 from gensp.files import atomic_path
-from gensp.geometry.consistency import GeneratedShape, correspondence_error, prediction_error
+from gensp.geometry.consistency import GeneratedShape, prediction_error
 from gensp.geometry.distance import closest_point
+from gensp.geometry.implied import correspondence_error
 from gensp.geometry.mesh import normalize
 from gensp.geometry.points import SurfacePoints
 from gensp.geometry.refine import reliability

@@ -18,7 +18,7 @@ from rich.progress import track
 
 import gensp
 from gensp.data.shapes import ShapeCollection
-from gensp.geometry.consistency import correspondence_error
+from gensp.geometry.implied import correspondence_error
 from gensp.geometry.spherical_map import SphericalMap
 from gensp.pretrained import shipped
 

@@ -21,7 +21,7 @@ from scipy.stats import mannwhitneyu, spearmanr
 
 from gensp.data.ground_truth import GroundTruth, common_points
 from gensp.data.shapes import ShapeCollection
-from gensp.geometry.consistency import correspondence_error
+from gensp.geometry.implied import correspondence_error
 from gensp.geometry.matching import aligning_rotation, matching, nearness_to_isometry
 from gensp.geometry.spherical_map import load_map
 

@@ -1,20 +1,15 @@
-"""How well spherical maps of several shapes agree (paper §5.1).
+"""How well shapes and their maps agree: the weights of c, generated surfaces, distances of shapes.
 
-Everything follows from one vector: the distance on S_j between where two maps say a point of S_i
-lies, m_j⁻¹(R m_i(x)), and where the ground truth m_ij(x) has it, with R the identity or the best
-rotation of the sphere. The measures differ in how the points are weighted.
+The errors that the weights of c average are those of `gensp.geometry.implied` (paper §5.1).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
-from gensp.geometry.alignment import best_rotation
 from gensp.geometry.distance import ClosestPointTree
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.points import SurfacePoints, sample_surface
@@ -22,64 +17,6 @@ from gensp.geometry.sphere import sample_sphere
 from gensp.geometry.spherical_map import SphericalMap
 
 _FIRST_BATCH = 64
-
-
-def correspondence_error(
-    map_i: SphericalMap,
-    map_j: SphericalMap,
-    at_i: SurfacePoints,
-    at_j: SurfacePoints,
-    rotation: Float[np.ndarray, "3 3"] | None = None,
-) -> Float[np.ndarray, " k"]:
-    """Implied-correspondence error ‖m_j⁻¹(R m_i(x_k)) − m_ij(x_k)‖ / √area(S_j).
-
-    Parameters
-    ----------
-    at_i, at_j
-        The same k ground-truth points x_k on S_i and m_ij(x_k) on S_j.
-    rotation
-        R; none is the identity.
-    """
-    implied = _implied(map_i, map_j, at_i, rotation)
-    true = at_j.on(map_j.surface, map_j.faces)
-    return np.linalg.norm(implied - true, axis=1) / np.sqrt(map_j.mesh.area)
-
-
-def symmetric_error(
-    map_i: SphericalMap,
-    map_j: SphericalMap,
-    at_i: SurfacePoints,
-    at_j: SurfacePoints,
-    groups: Sequence[Sequence[int]],
-    rotation: Float[np.ndarray, "3 3"] | None = None,
-) -> Float[np.ndarray, " k"]:
-    """The same where symmetries of S_j exchange points: every group in its best order.
-
-    Of all ways to pair the implied points of a group with its true ones, one to one, that of the
-    least total error counts.
-
-    Parameters
-    ----------
-    groups
-        Places among the k points, no place in two groups.
-    """
-    implied = _implied(map_i, map_j, at_i, rotation)
-    true = at_j.on(map_j.surface, map_j.faces).copy()
-    for group in map(list, groups):
-        cost = np.linalg.norm(implied[group][:, None] - true[group][None], axis=2)
-        true[group] = true[group][linear_sum_assignment(cost)[1]]
-    return np.linalg.norm(implied - true, axis=1) / np.sqrt(map_j.mesh.area)
-
-
-def _implied(
-    map_i: SphericalMap,
-    map_j: SphericalMap,
-    at_i: SurfacePoints,
-    rotation: Float[np.ndarray, "3 3"] | None,
-) -> Float[np.ndarray, "k 3"]:
-    """Where the maps say that points of S_i lie on S_j."""
-    image = map_i.to_sphere(at_i)
-    return map_j.to_surface(image if rotation is None else image @ rotation.T)
 
 
 @dataclass(frozen=True)
@@ -155,17 +92,6 @@ def _one_way(
     weights = _share_of_nearest(shape_i.image.vertices, x)
     error = prediction_error(shape_i, shape_j, at_i, at_j)
     return float(error @ weights * np.sqrt(shape_j.mesh.area))
-
-
-def pair_rotation(
-    map_i: SphericalMap,
-    map_j: SphericalMap,
-    at_i: SurfacePoints,
-    at_j: SurfacePoints,
-    weights: Float[np.ndarray, " k"] | None = None,
-) -> Float[np.ndarray, "3 3"]:
-    """Rotation R of the sphere that best takes m_i(x_k) to m_j(m_ij(x_k))."""
-    return best_rotation(map_i.to_sphere(at_i), map_j.to_sphere(at_j), weights)
 
 
 def sphere_uniform_weights(

@@ -8,9 +8,7 @@ from gensp.geometry.mesh import Mesh
 from gensp.geometry.points import SurfacePoints
 
 
-def geodesic_distances(
-    mesh: Mesh, a: SurfacePoints, b: SurfacePoints
-) -> Float[np.ndarray, " k"]:
+def geodesic_distances(mesh: Mesh, a: SurfacePoints, b: SurfacePoints) -> Float[np.ndarray, " k"]:
     """Lengths of the shortest ways on a surface from k points to k others, one by one.
 
     Fast marching from each point of `a` until the face of its partner is reached (Kimmel & Sethian

@@ -8,14 +8,13 @@ from gensp.geometry.consistency import (
     GeneratedShape,
     HausdorffIndex,
     area_uniform_weights,
-    correspondence_error,
     coverage,
     nearest_neighbours,
-    pair_rotation,
     prediction_error,
     sphere_uniform_weights,
 )
 from gensp.geometry.distance import hausdorff
+from gensp.geometry.implied import correspondence_error
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.points import SurfacePoints, sample_surface
 from gensp.geometry.sphere import icosphere
@@ -32,19 +31,6 @@ def points(bumpy: Mesh, rng: np.random.Generator) -> SurfacePoints:
 def radial(mesh: Mesh) -> SphericalMap:
     """The map that sends every vertex of a deformed icosphere to where it came from."""
     return SphericalMap(icosphere(3).vertices, mesh.vertices, mesh.faces, mesh.name)
-
-
-def test_identical_maps_agree(bumpy: Mesh, points: SurfacePoints) -> None:
-    error = correspondence_error(radial(bumpy), radial(bumpy), points, points)
-    assert error.max() < 1e-12
-
-
-def test_shared_parameterization_is_the_ground_truth(
-    bumpy: Mesh, ellipsoid: Mesh, points: SurfacePoints
-) -> None:
-    # Both maps come from one icosphere, so equal barycentric coordinates correspond.
-    error = correspondence_error(radial(bumpy), radial(ellipsoid), points, points)
-    assert error.max() < 1e-12
 
 
 def test_a_generator_that_is_right_has_no_error(
@@ -65,47 +51,6 @@ def test_generated_surfaces_on_the_shapes_err_as_their_maps_do(
     expected = correspondence_error(radial(bumpy), turned, points, points)
     assert expected.mean() > 0.05
     np.testing.assert_allclose(found, expected, atol=0.02 * expected.mean())
-
-
-def test_known_rotation_on_the_sphere_is_the_distance_it_moves_points(
-    rng: np.random.Generator,
-) -> None:
-    ball = icosphere(5)
-    still = SphericalMap(ball.vertices, ball.vertices, ball.faces)
-    at = sample_surface(ball.face_areas, 200, rng)
-    x = at.on(ball.vertices, ball.faces)
-    error = correspondence_error(still.rotated(TURN), still, at, at)
-    expected = np.linalg.norm(x @ TURN.T - x, axis=1) / np.sqrt(ball.area)
-    assert np.allclose(error, expected, atol=2e-4)
-
-
-def test_common_rotation_of_both_maps_changes_nothing(
-    bumpy: Mesh, ellipsoid: Mesh, points: SurfacePoints, rng: np.random.Generator
-) -> None:
-    other = SphericalMap(_shaken(rng), ellipsoid.vertices, ellipsoid.faces)
-    before = correspondence_error(radial(bumpy), other, points, points)
-    after = correspondence_error(radial(bumpy).rotated(TURN), other.rotated(TURN), points, points)
-    assert before.mean() > 1e-3
-    assert np.allclose(before, after, atol=1e-9)
-
-
-def test_best_rotation_undoes_the_rotation_of_one_map(
-    bumpy: Mesh, ellipsoid: Mesh, points: SurfacePoints, rng: np.random.Generator
-) -> None:
-    one, other = radial(bumpy), SphericalMap(_shaken(rng), ellipsoid.vertices, ellipsoid.faces)
-    rotation = pair_rotation(one, other, points, points)
-    before = correspondence_error(one, other, points, points, rotation)
-    turned = one.rotated(TURN)
-    again = pair_rotation(turned, other, points, points)
-    after = correspondence_error(turned, other, points, points, again)
-    raw = correspondence_error(turned, other, points, points)
-    assert np.allclose(before, after, atol=1e-9)
-    assert raw.mean() > 3 * after.mean()
-
-
-def _shaken(rng: np.random.Generator) -> np.ndarray:
-    moved = icosphere(3).vertices + 0.02 * rng.standard_normal(icosphere(3).vertices.shape)
-    return moved / np.linalg.norm(moved, axis=1, keepdims=True)
 
 
 def test_weights_follow_the_area_they_stand_for(rng: np.random.Generator) -> None:

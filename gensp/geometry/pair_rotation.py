@@ -1,0 +1,69 @@
+"""The rotation of the sphere after which two maps agree best (paper §5.1)."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import minimize
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from gensp.geometry.implied import MatchedMaps
+from gensp.geometry.points import SurfacePoints
+from gensp.geometry.spherical_map import SphericalMap
+
+_FEW = 200  # points by which rotations are compared
+_TRIALS = 80  # rotations that are tried around the best start
+_WIDE = 0.15  # radians between the first of them
+_FINE = 1e-3  # radians, and relative error, at which the search ends
+
+
+def pair_rotation(
+    matched: MatchedMaps, starts: Sequence[Float[np.ndarray, "3 3"]] = ()
+) -> Float[np.ndarray, "3 3"]:
+    """The rotation R of the least mean implied-correspondence error that a local search finds.
+
+    The search (Nelder & Mead 1965, over rotation vectors) begins at the best of the identity and
+    `starts`. It compares rotations at 200 of the points, whose preimages it takes to be those of
+    the nearest vertices on the sphere.
+    """
+    few = matched.few(_FEW)
+    there = _NearestVertex(few.map_i, few.map_j, few.at_i, few.at_j)
+    back = _NearestVertex(few.map_j, few.map_i, few.at_j, few.at_i)
+
+    def error(rotation: Float[np.ndarray, "3 3"]) -> float:
+        return there.error(rotation) + back.error(rotation.T)
+
+    start = min([np.eye(3), *starts], key=error)
+
+    def turned(vector: np.ndarray) -> Float[np.ndarray, "3 3"]:
+        return Rotation.from_rotvec(vector).as_matrix() @ start
+
+    options = {
+        "initial_simplex": _WIDE * np.concatenate([np.zeros((1, 3)), np.eye(3)]),
+        "maxfev": _TRIALS,
+        "xatol": _FINE,
+        "fatol": _FINE * error(start),
+    }
+    found = minimize(
+        lambda vector: error(turned(vector)), np.zeros(3), method="Nelder-Mead", options=options
+    )
+    return turned(found.x)
+
+
+class _NearestVertex:
+    """Implied-correspondence errors from S_i to S_j, the preimage of a point being a vertex."""
+
+    def __init__(
+        self, map_i: SphericalMap, map_j: SphericalMap, at_i: SurfacePoints, at_j: SurfacePoints
+    ) -> None:
+        self.images = map_i.to_sphere(at_i)
+        self.true = at_j.on(map_j.surface, map_j.faces)
+        self.tree, self.surface = cKDTree(map_j.sphere), map_j.surface
+        self.scale = np.sqrt(map_j.mesh.area)
+
+    def error(self, rotation: Float[np.ndarray, "3 3"]) -> float:
+        """Mean over the points."""
+        nearest = self.tree.query(self.images @ rotation.T)[1]
+        apart = np.linalg.norm(self.surface[nearest] - self.true, axis=1)
+        return float(apart.mean() / self.scale)
