@@ -5,7 +5,6 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from gensp.geometry.implied import MatchedMaps
@@ -24,12 +23,11 @@ def pair_rotation(
     """The rotation R of the least mean implied-correspondence error that a local search finds.
 
     The search (Nelder & Mead 1965, over rotation vectors) begins at the best of the identity and
-    `starts`. It compares rotations at 200 of the points, whose preimages it takes to be those of
-    the nearest vertices on the sphere.
+    `starts`, and compares rotations at 200 of the points.
     """
     few = matched.few(_FEW)
-    there = _NearestVertex(few.map_i, few.map_j, few.at_i, few.at_j)
-    back = _NearestVertex(few.map_j, few.map_i, few.at_j, few.at_i)
+    there = _OneWay(few.map_i, few.map_j, few.at_i, few.at_j)
+    back = _OneWay(few.map_j, few.map_i, few.at_j, few.at_i)
 
     def error(rotation: Float[np.ndarray, "3 3"]) -> float:
         return there.error(rotation) + back.error(rotation.T)
@@ -51,19 +49,17 @@ def pair_rotation(
     return turned(found.x)
 
 
-class _NearestVertex:
-    """Implied-correspondence errors from S_i to S_j, the preimage of a point being a vertex."""
+class _OneWay:
+    """Implied-correspondence errors from S_i to S_j, with what all rotations share."""
 
     def __init__(
         self, map_i: SphericalMap, map_j: SphericalMap, at_i: SurfacePoints, at_j: SurfacePoints
     ) -> None:
-        self.images = map_i.to_sphere(at_i)
+        self.images, self.map = map_i.to_sphere(at_i), map_j
         self.true = at_j.on(map_j.surface, map_j.faces)
-        self.tree, self.surface = cKDTree(map_j.sphere), map_j.surface
         self.scale = np.sqrt(map_j.mesh.area)
 
     def error(self, rotation: Float[np.ndarray, "3 3"]) -> float:
         """Mean over the points."""
-        nearest = self.tree.query(self.images @ rotation.T)[1]
-        apart = np.linalg.norm(self.surface[nearest] - self.true, axis=1)
-        return float(apart.mean() / self.scale)
+        implied = self.map.to_surface(self.images @ rotation.T)
+        return float(np.linalg.norm(implied - self.true, axis=1).mean() / self.scale)
