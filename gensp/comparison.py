@@ -2,10 +2,14 @@
 
 import csv
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from gensp.benchmark import Benchmark
+from gensp.benchmark import Benchmark, without_seed
 from gensp.files import read_json, write_text
 from gensp.tables import Comparison, Summary, combine_summaries, summary_label
+
+if TYPE_CHECKING:
+    from gensp.pictures.methods import MethodFigures
 
 # The paper's order: the method, its ablations, then the methods it is compared with.
 _FIRST = ("full", "no_da", "no_gp", "no_gr")
@@ -24,12 +28,13 @@ def compare_variants(experiment: Path) -> Comparison:
 
 
 def compare_methods(experiment: Path) -> list[Path]:
-    """Write table.md, table.csv, table.tex and plot.png of an experiment's folder.
+    """Write table.md, table.csv, table.tex, plot.png and curves.png of an experiment's folder.
 
     Returns
     -------
     list
-        What was written; nothing where no evaluation has a summary.
+        What was written; nothing where no evaluation has a summary, and no curves where no pair
+        has dense ground truth.
     """
     found = _evaluated(experiment)
     if not found:
@@ -42,27 +47,41 @@ def compare_methods(experiment: Path) -> list[Path]:
     }
     for name, text in texts.items():
         write_text(experiment / name, text)
-    _plot(experiment / "plot.png", found)
-    return [experiment / name for name in (*texts, "plot.png")]
+    return [*(experiment / name for name in texts), *_plots(experiment, found, benchmark)]
 
 
-def _plot(path: Path, found: dict[Path, Summary]) -> None:
+def _plots(experiment: Path, found: dict[Path, Summary], benchmark: Benchmark) -> list[Path]:
     # Imported late: matplotlib takes a second.
     from gensp.pictures.curves import save_figure
-    from gensp.pictures.methods import MethodFigures, methods_figure
+    from gensp.pictures.methods import curves_figure, methods_figure
 
-    methods = [
+    methods = _methods(found, benchmark)
+    paths = [save_figure(methods_figure(methods), experiment / "plot.png")]
+    if any(len(curves) > 0 for method in methods for curves in method.curves):
+        curves = curves_figure(methods, benchmark.splits)
+        paths.append(save_figure(curves, experiment / "curves.png"))
+    return paths
+
+
+def _methods(found: dict[Path, Summary], benchmark: Benchmark) -> list["MethodFigures"]:
+    """What is drawn of every row: means over seeds, the shapes of all of them together."""
+    from gensp.pictures.methods import MethodFigures
+
+    runs: dict[str, list[Path]] = {}
+    for folder, summary in found.items():
+        runs.setdefault(without_seed(summary_label(summary)), []).append(folder)
+    return [
         MethodFigures(
-            label=summary_label(summary),
-            sigma_mean=summary["groups"]["all"].get("sigma_mean"),
-            error=summary["groups"]["all"].get("error_registered"),
-            sigma_max=_largest(folder / "shapes.csv"),
-            failures=len(summary.get("failed") or ()),
+            label=row.label,
+            sigma_mean=row.mean("sigma_mean"),
+            error=row.mean("error"),
+            rotated=row.mean("error_rotated"),
+            sigma_max=[x for folder in runs[row.label] for x in _largest(folder / "shapes.csv")],
+            failures=sum(int(group.get("failures", 0)) for group in row.groups),
+            curves=[found[folder].get("curves") or {} for folder in runs[row.label]],
         )
-        for folder, summary in found.items()
-        if "all" in summary["groups"]
+        for row in benchmark.rows("all")
     ]
-    save_figure(methods_figure(methods), path)
 
 
 def _largest(path: Path) -> list[float]:

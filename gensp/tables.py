@@ -38,8 +38,8 @@ COLUMNS = (
     Column("sigma_area", "mean σ (area)", "isometric distortion, area-weighted mean"),
     Column("conformal_mean", "mean σ^con", "conformal distortion, mean over triangles and shapes"),
     Column("conformal_max", "max σ^con", "largest conformal distortion of any triangle"),
-    Column("c", "c", "consistency c(m_i, m_j) of the paper, 6 nearest neighbours"),
-    Column("c_rotated", "c (rotated)", "c after the best rotation of each pair"),
+    Column("c", "c", "consistency c(m_i, m_j) of the paper, over 6 nearest of the measured pairs"),
+    Column("c_rotated", "c (rotated)", "c rotated as error (rotated)"),
     Column(
         "c_registered",
         "c (registered)",
@@ -47,13 +47,21 @@ COLUMNS = (
     ),
     Column("c_area", "c (area)", "c at points area-uniform on the shape"),
     Column("error", "error", "implied correspondence over √area, no rotation, mean over pairs", 4),
-    Column("error_rotated", "error (rotated)", "the same after the best rotation of each pair", 4),
+    Column(
+        "error_rotated",
+        "error (rotated)",
+        "the same after the rotation of each pair that makes it least",
+        4,
+    ),
     Column(
         "error_registered",
         "error (registered)",
         "the same after a rotation found from the maps alone; not fit=register",
         4,
     ),
+    Column("geodesic", "geodesic", "the error along the surface, no rotation", 4),
+    Column("geodesic_rotated", "geodesic (rotated)", "the same, rotated as error (rotated)", 4),
+    Column("within", "within 0.05", "share of points whose geodesic error is at most 0.05"),
     Column(
         "error_prediction",
         "error (prediction)",

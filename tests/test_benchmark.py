@@ -3,16 +3,17 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from commands import finished_items, train
 
 from gensp.benchmark import PARTS, Benchmark
 from gensp.comparison import compare_methods
-from gensp.pictures.methods import MethodFigures, methods_figure
+from gensp.pictures.methods import MethodFigures, curves_figure, methods_figure
 from gensp.tables import latex_table, latex_text, read_summary_csv
 from gensp.tasks.evaluate import Circle
 
-FILES = ("table.md", "table.csv", "table.tex", "plot.png")
+FILES = ("table.md", "table.csv", "table.tex", "plot.png", "curves.png")
 REASON = "vertex 7 finds no place on the sphere; remesh the surface"
 
 
@@ -21,7 +22,11 @@ def summary(variant: str, sigma: float, failed: int = 0, method: str | None = No
         "shapes": 5 - failed,
         "sigma_mean": sigma,
         "sigma_max": 10 * sigma,
+        "conformal_max": 3 * sigma,
+        "coverage_max": 0.01,
+        "error": sigma / 50,
         "error_registered": sigma / 100,
+        "keypoint_error": sigma / 20,
         "bad_faces_percent": 0.25,
         "wrong_degree": 0,
         "seconds_median": 2.5,
@@ -40,13 +45,17 @@ def test_markdown_has_every_part_and_the_reasons_of_failures() -> None:
     text = Benchmark((summary("dirichlet", 1.2345), summary("ahsp", 2.5, failed=1))).markdown()
     assert [text.index(f"## {part.title}, all shapes") for part in PARTS]
     lines = [line.strip("| ").split(" | ") for line in text.splitlines() if line.startswith("|")]
-    distortion, bijectivity = (
+    tables = [
         {line[0]: dict(zip(header, line, strict=True)) for line in lines[at + 2 : at + 4]}
         for at, header in enumerate(lines)
-        if header[0] == "method" and "max seconds" not in header and "seconds" not in header
-    )
+        if header[0] == "method"
+    ]
+    distortion, consistency, keypoints, bijectivity, _ = tables
     assert distortion["dirichlet"]["mean σ"] == "1.234"
     assert distortion["ahsp"]["worst σ"] == "25.000"
+    assert distortion["ahsp"]["max coverage"] == "0.0100"
+    assert consistency["ahsp"]["error"] == "0.0500"
+    assert keypoints["ahsp"]["error"] == "0.1250"
     assert bijectivity["dirichlet"]["failures"] == "0"
     assert bijectivity["ahsp"]["failures"] == "1"
     assert f"- ahsp, s0: {REASON}" in text
@@ -56,7 +65,18 @@ def test_markdown_has_every_part_and_the_reasons_of_failures() -> None:
 def test_shapes_that_were_not_learnt_from_stand_apart() -> None:
     learnt = summary("full", 1.5, method="gensp")
     assert Benchmark((summary("dirichlet", 1.2),)).splits == ("all",)
-    assert Benchmark((learnt, summary("dirichlet", 1.2))).splits == ("test", "all")
+    assert Benchmark((learnt, summary("dirichlet", 1.2))).splits == ("test", "train", "all")
+
+
+def test_seeds_are_one_row_with_their_spread() -> None:
+    runs = [summary(f"full+certify+seed-{k}", 1.0 + k, method="gensp") for k in range(3)]
+    (row,) = Benchmark(tuple(runs)).rows("all")
+    assert row.label == "full+certify"
+    sigma = PARTS[0].columns[0]
+    assert row.cell(sigma) == "2.000 ± 1.000"
+    assert row.mean("sigma_mean") == 2
+    lines = Benchmark(tuple(runs)).csv().splitlines()
+    assert sum(line.startswith("heads,full+certify+seed-") for line in lines) == 6
 
 
 def test_csv_says_what_the_summaries_say_to_the_last_digit() -> None:
@@ -104,15 +124,27 @@ def test_latex_has_as_many_columns_as_it_announces() -> None:
 def test_a_curve_of_a_method_that_fails_ends_below_one() -> None:
     methods = [
         MethodFigures("whole", 1.2, 0.01, [3.0, 2.0, 4.0]),
-        MethodFigures("failing", 1.3, 0.02, [5.0, 2.0], failures=2),
+        MethodFigures("failing", 1.3, 0.02, [5.0, 2.0], failures=2, rotated=0.01),
     ]
     points, curves = methods_figure(methods).axes
-    assert [list(line.get_xdata()) for line in points.lines] == [[0.01], [0.02]]
+    assert [list(line.get_xdata()) for line in points.lines] == [[0.01], [0.02, 0.01], [0.02]]
     ends = {line.get_label(): line.get_ydata()[-1] for line in curves.lines}
     assert ends == {"whole": 1.0, "failing": 0.5}
     assert list(curves.lines[0].get_xdata()) == [2.0, 3.0, 4.0]
     without = [MethodFigures("no truth", 1.2, None, [3.0])]
     assert len(methods_figure(without).axes) == 1
+
+
+def test_curves_are_drawn_for_every_split_and_turn() -> None:
+    lines = {"geodesic_raw": [0, 0.5], "geodesic_rotated": [0, 0.75]}
+    other = {"geodesic_raw": [0, 0.7], "geodesic_rotated": [0, 0.85]}
+    seeds = [{"thresholds": [0, 0.1], "test": found, "all": found} for found in (lines, other)]
+    method = MethodFigures("full", 1.2, 0.01, [3.0], curves=seeds)
+    drawn = curves_figure([method], ("test", "train", "all")).axes
+    titles = [panel.get_title(loc="left").split(",")[0] for panel in drawn]
+    assert titles == ["test shapes", "test shapes", "all shapes", "all shapes"]
+    np.testing.assert_allclose(drawn[0].lines[0].get_ydata(), [0, 0.6])
+    np.testing.assert_allclose(drawn[1].lines[0].get_ydata(), [0, 0.8])
 
 
 def test_partners_are_mutual_and_equally_many() -> None:

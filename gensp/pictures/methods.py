@@ -1,8 +1,8 @@
 """Methods side by side: distortion against error, and how large the distortion gets."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,12 +25,15 @@ class MethodFigures:
 
     Attributes
     ----------
-    sigma_mean, error
-        Means over the collection; none where there is no figure.
+    sigma_mean, error, rotated
+        Means over the collection, the error without a rotation and with the best one; none where
+        there is no figure.
     sigma_max
         Of every shape with a map.
     failures
         Shapes without one: the curve ends below 1.
+    curves
+        Of the summary of every seed: thresholds, and the fractions below them.
     """
 
     label: str
@@ -38,6 +41,13 @@ class MethodFigures:
     error: float | None
     sigma_max: Sequence[float]
     failures: int = 0
+    rotated: float | None = None
+    curves: Sequence[Mapping[str, Any]] = ()
+
+    @property
+    def bounded(self) -> bool:
+        """Whether its mean σ can be drawn."""
+        return self.sigma_mean is not None and bool(np.isfinite(self.sigma_mean))
 
 
 def methods_figure(methods: Sequence[MethodFigures]) -> "Figure":
@@ -52,6 +62,39 @@ def methods_figure(methods: Sequence[MethodFigures]) -> "Figure":
     return drawing
 
 
+_TURNED = {
+    "geodesic_raw": "no rotation",
+    "geodesic_rotated": "best rotation of each pair",
+}
+
+
+def curves_figure(methods: Sequence[MethodFigures], splits: Sequence[str]) -> "Figure":
+    """Fraction of points whose geodesic error is below x: a row for every split that has any."""
+    shown = [s for s in splits if any(s in curve for m in methods for curve in m.curves)]
+    drawing = figure(10.4, 0.4 + 2.9 * len(shown))
+    grid = drawing.subplots(len(shown), 2, squeeze=False, sharex=True, sharey=True)
+    for panels, split in zip(grid, shown, strict=True):
+        for panel, (kind, words) in zip(panels, _TURNED.items(), strict=True):
+            _fractions(panel, methods, split, kind)
+            panel.set_title(f"{split} shapes, {words}", loc="left", fontsize=10)
+        panels[0].set_ylabel("fraction of points below")
+    for panel in grid[-1]:
+        panel.set_xlabel("geodesic error / √area")
+    drawing.legend(handles=_handles(methods), loc="outside right center", frameon=False)
+    return drawing
+
+
+def _fractions(panel: "Axes", methods: Sequence[MethodFigures], split: str, kind: str) -> None:
+    for place, method in enumerate(methods):
+        lines = [c[split][kind] for c in method.curves if kind in c.get(split, {})]
+        if lines:
+            thresholds, style = method.curves[0]["thresholds"], {**_style(place), "marker": ""}
+            panel.plot(thresholds, np.mean(lines, axis=0), label=method.label, **style)
+    panel.set(ylim=(0, 1.02))
+    panel.set_xlim(left=0)
+    plain(panel, legend=False)
+
+
 def _style(place: int) -> dict[str, str]:
     return {"color": f"C{place % 10}", "marker": _MARKERS[place % len(_MARKERS)]}
 
@@ -59,18 +102,25 @@ def _style(place: int) -> dict[str, str]:
 def _handles(methods: Sequence[MethodFigures]) -> list["Line2D"]:
     from matplotlib.lines import Line2D
 
-    return [Line2D([], [], label=m.label, **_style(place)) for place, m in enumerate(methods)]
+    labels = [m.label if m.bounded else f"{m.label} (mean σ = ∞)" for m in methods]
+    return [Line2D([], [], label=label, **_style(place)) for place, label in enumerate(labels)]
 
 
 def _scatter(panel: "Axes", methods: Sequence[MethodFigures]) -> None:
+    """A mark at the error without a rotation, and a line to that with the best one."""
     for place, method in enumerate(methods):
-        if method.error is not None and method.sigma_mean is not None:
-            panel.plot([method.error], [method.sigma_mean], markersize=8, **_style(place))
-    heights = [m.sigma_mean for m in methods if m.sigma_mean and np.isfinite(m.sigma_mean)]
-    # One method without bound must not press the others together.
+        if method.error is None or not method.bounded:
+            continue
+        style = _style(place)
+        if method.rotated is not None:
+            ends, height = [method.error, method.rotated], [method.sigma_mean] * 2
+            panel.plot(ends, height, **{**style, "marker": "|"}, markersize=8, linewidth=1)
+        panel.plot([method.error], [method.sigma_mean], markersize=8, **style)
+    heights = [m.sigma_mean for m in methods if m.sigma_mean and m.bounded]
+    # One method with a huge mean must not press the others together.
     if heights and max(heights) > _MANY * min(heights):
         panel.set_yscale("log")
-    panel.set(xlabel="error (registered) / √area", ylabel="mean σ")
+    panel.set(xlabel="error / √area, no rotation (bar: the best one)", ylabel="mean σ")
     panel.margins(0.12)
     plain(panel, legend=False)
 

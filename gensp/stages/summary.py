@@ -10,12 +10,14 @@ from gensp.geometry.consistency import nearest_neighbours
 
 GROUPS = ("train", "val", "test", "all")
 NORMALIZATION = "surface and sphere triangulations scaled to total area 4π, chordal triangles"
-THRESHOLDS = np.linspace(0, 0.1, 51)
-_DENSE = ("error", "error_rotated", "error_registered", "error_prediction")
-_SPARSE = (*_DENSE, "error_symmetric")
-_NEIGHBOURS = tuple(
-    name + suffix for name in ("c", "c_area") for suffix in ("", "_rotated", "_registered")
-)
+THRESHOLDS = np.linspace(0, 0.25, 101)  # over √area, as far as Kim et al. (2011) draw
+WITHIN = 0.05  # the error at which shares of points are told
+_TURNS = ("", "_rotated", "_registered")
+_POINTS = (*("error" + turn for turn in _TURNS), "error_prediction")
+_DENSE = (*_POINTS, *("geodesic" + turn for turn in _TURNS))
+_SPARSE = (*_POINTS, "error_symmetric")
+_CURVES = {"raw": "", "rotated": "_rotated", "registered": "_registered"}
+_NEIGHBOURS = tuple(name + turn for name in ("c", "c_area") for turn in _TURNS)
 
 Record = dict[str, Any]
 
@@ -63,10 +65,23 @@ def group_figures(
             for key in _DENSE
             if _values(dense, key)
         },
+        **_shares(dense),
         "neighbour_pairs": len(near),
         **_means(near, _NEIGHBOURS),
         "keypoint_pairs": len(keypoints),
         **{f"keypoint_{key}": value for key, value in _means(keypoints, _SPARSE).items()},
+    }
+
+
+def _shares(dense: Sequence[Record]) -> dict[str, float]:
+    """Share of the points whose error along the surface is at most `WITHIN`."""
+    known = [pair for pair in dense if "quantiles_geodesic" in pair]
+    return {
+        f"within{turn}": float(
+            np.mean([np.less_equal(pair["quantiles_geodesic" + turn], WITHIN) for pair in known])
+        )
+        for turn in _TURNS
+        if known
     }
 
 
@@ -107,15 +122,18 @@ def _statistic(statistic: Any, records: Sequence[Record], key: str) -> float:
 
 
 def error_curves(pairs: Sequence[Record]) -> dict[str, Any]:
-    """For every group the fraction of ground-truth points whose error is at most a threshold."""
+    """For every group the fraction of ground-truth points whose error is at most a threshold.
+
+    Straight and along the surface, without a rotation and with either one.
+    """
     curves: dict[str, Any] = {}
     for group in GROUPS:
         dense = [p for p in pairs if p["kind"] == "dense" and group in ("all", p["group"])]
         if dense:
             curves[group] = {
-                "raw": _fractions([pair["quantiles"] for pair in dense]),
-                "rotated": _fractions([pair["quantiles_rotated"] for pair in dense]),
-                "registered": _fractions([pair["quantiles_registered"] for pair in dense]),
+                prefix + name: _fractions([pair[f"quantiles{along}{turn}"] for pair in dense])
+                for prefix, along in (("", ""), ("geodesic_", "_geodesic"))
+                for name, turn in _CURVES.items()
             }
     return {"thresholds": THRESHOLDS.round(6).tolist(), **curves} if curves else {}
 
