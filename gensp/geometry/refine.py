@@ -177,6 +177,8 @@ def _smoothed(
     rounds = 0
     while wrong.any() and rounds < max_rounds:
         moving, ring = _patch(u, faces, wrong, adjacency, ring, largest)
+        if len(moving) == len(u):
+            break  # nothing is left to hold the rest
         u, rounds = harmonic_patch(u, adjacency, moving), rounds + 1
         wrong = still_wrong(u)
         if not bad_faces(u, faces).any():

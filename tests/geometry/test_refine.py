@@ -83,6 +83,15 @@ def test_hopeless_map_is_said_to_be_unclean():
     assert not untangle(collapsed, ball.faces, max_rounds=3).clean
 
 
+def test_a_map_that_is_flat_everywhere_is_left_alone(rng):
+    """Around every vertex something is wrong: none is left that could hold the others."""
+    ball = icosphere(2)
+    circle = unit(rng.standard_normal(ball.vertices.shape) * [1, 1, 0])
+    assert bad_faces(circle, ball.faces).all()
+    untangled = untangle(circle, ball.faces)
+    assert (untangled.clean, untangled.rounds) == (False, 0)
+
+
 def test_thin_faces_are_relative_to_their_own_size():
     needle = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 1e-8, 0]])
     fat = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 0.9, 0]])
