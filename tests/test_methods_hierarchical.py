@@ -1,29 +1,24 @@
 """Methods on the hierarchical embedding: bijective maps, each the best by its own measure."""
 
 import pickle
-import tempfile
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
-from slivers import slivers
+from scipy.spatial.transform import Rotation
 
 from gensp.compiled.collapses import collapse_all
 from gensp.compiled.energies import energy_slopes_of, energy_values_of
 from gensp.compiled.fronts import extend_add
 from gensp.compiled.growth import insert, sweep
 from gensp.compiled.projection import raise_negative
-from gensp.errors import NotEmbeddable
 from gensp.geometry.certificate import certify
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.newton import minimise_map
 from gensp.geometry.progress import listening
 from gensp.geometry.smat_energy import SmatEnergy
 from gensp.geometry.sphere import icosphere, unit
-from gensp.geometry.spherical_energy import SphericalEnergy
-from gensp.geometry.spherical_map import load_map, save_map
+from gensp.geometry.spherical_energy import SphericalEnergy, triangle_weights
 from gensp.methods.hierarchical import SmatPolish, ahsp, compile_loops, dirichlet, smat, stretch
 from gensp.methods.refinement import CertifiedRefinement
 
@@ -54,46 +49,31 @@ def test_map_is_certified_and_keeps_coordinates(method, limbed):
     assert map.diagnostics["seconds"] > 0
 
 
-@settings(max_examples=10, deadline=None)
-@given(st.integers(0, 2**31), st.floats(0.0, 0.95), st.floats(0.0, 3.0))
-@example(0, 0.0, 3.0)
-def test_random_slivers_are_mapped_and_read_back_certified(seed, crowd, spread):
-    map = dirichlet()(slivers(seed, crowd, spread))
-    assert certify(map.sphere, map.faces)
-    assert np.isfinite(map.distortion().max)
-    with tempfile.TemporaryDirectory() as folder:
-        save_map(map, folder)
-        assert load_map(f"{folder}/{map.name}.npz").certify()
+def _ordered(mesh, rng):
+    """The same mesh with its vertices and faces in another order, and that order."""
+    order = rng.permutation(len(mesh.vertices))
+    return Mesh(mesh.vertices[order], rng.permutation(np.argsort(order)[mesh.faces])), order
 
 
-@settings(max_examples=6, deadline=None)
-@given(
-    st.sampled_from(["stretch", "ahsp"]),
-    st.integers(0, 2**31),
-    st.floats(0.0, 0.95),
-    st.floats(0.0, 3.0),
-)
-@example("stretch", 0, 0.0, 3.0)
-def test_no_method_folds_in_silence(name, seed, crowd, spread):
-    """Energies that crowd what is small may find no place for a vertex, and say which."""
-    mesh = slivers(seed, crowd, spread)
-    try:
-        map = METHODS[name]()(mesh)
-    except NotEmbeddable as error:
-        told = str(error)
+@pytest.mark.parametrize("change", ["order", "rotation", "scale"])
+def test_the_map_goes_with_the_mesh(limbed, rng, change):
+    """Ties of the collapses are broken by rounding; Newton ends in one minimum all the same.
+
+    Measured over ten such changes of this mesh: 1e-6 of the mean, 1.4e-5 of the maximum, 6e-4 on
+    the sphere. Newton stops at a relative decrease of 3e-4.
+    """
+    rotation, order, moved = np.eye(3), np.arange(len(limbed.vertices)), limbed
+    if change == "order":
+        moved, order = _ordered(limbed, rng)
+    elif change == "rotation":
+        rotation = Rotation.random(random_state=1).as_matrix()
+        moved = limbed.with_vertices(limbed.vertices @ rotation.T)
     else:
-        told = "" if certify(map.sphere, map.faces) else "folded"
-    assert told == "" or "finds no place on the sphere in double precision" in told
-
-
-def test_the_order_of_vertices_and_faces_changes_no_figure(limbed, rng):
-    order = rng.permutation(len(limbed.vertices))
-    faces = rng.permutation(np.argsort(order)[limbed.faces])
-    shuffled = Mesh(limbed.vertices[order], faces, "shuffled")
-    found = [dirichlet()(mesh).distortion() for mesh in (limbed, shuffled)]
-    # Ties of the collapses are broken by the order; the minimum is the same.
-    assert found[0].mean == pytest.approx(found[1].mean, rel=0.01)
-    assert found[0].max == pytest.approx(found[1].max, rel=0.1)
+        moved = limbed.with_vertices(7.3e-4 * limbed.vertices)
+    there, here = dirichlet()(moved), dirichlet()(limbed)
+    assert there.distortion().mean == pytest.approx(here.distortion().mean, rel=1e-5)
+    assert there.distortion().max == pytest.approx(here.distortion().max, rel=1e-4)
+    np.testing.assert_allclose(there.sphere, here.sphere[order] @ rotation.T, atol=3e-3)
 
 
 def test_nothing_is_left_to_compile(limbed):
@@ -132,11 +112,17 @@ def test_methods_travel_to_workers(method, bumpy):
 
 def test_each_method_is_the_best_by_its_own_energy(limbed):
     shape = normalize(limbed)
-    energies = {"smat": SmatEnergy(shape), "stretch": SphericalEnergy(shape, energy="stretch")}
+    energies = {
+        "dirichlet": SphericalEnergy(shape, triangle_weights(shape, 3.0), "sigma"),
+        "stretch": SphericalEnergy(shape, energy="stretch"),
+        "ahsp": SphericalEnergy(shape, triangle_weights(shape, 1e6), "amips"),
+        "smat": SmatEnergy(shape),
+    }
+    assert energies.keys() == METHODS.keys()
     maps = {name: METHODS[name]()(limbed).sphere for name in METHODS}
     for name, energy in energies.items():
         values = {other: energy.energy(u) for other, u in maps.items()}
-        assert min(values, key=values.__getitem__) == name
+        assert min(values, key=values.__getitem__) == name, (name, values)
 
 
 def test_sets_of_vertices_lead_to_the_minimum_that_newton_finds_elsewhere(bumpy):

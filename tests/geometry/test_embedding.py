@@ -164,9 +164,9 @@ def test_folded_target_is_followed_where_it_is_trusted(limbed, rng):
 
 
 @settings(max_examples=12, deadline=None)
-@given(st.integers(0, 2**31), st.floats(0.0, 0.95), st.floats(0.0, 3.0))
-def test_random_slivers_and_area_ratios_are_embedded(seed, crowd, spread):
-    mesh = slivers(seed, crowd, spread)
+@given(st.integers(0, 2**31), st.floats(-6.0, -1.0), st.floats(0.0, 6.0), st.integers(0, 3))
+def test_random_slivers_and_area_ratios_are_embedded(seed, flat, ratio, limbs):
+    mesh = slivers(seed, flat=10**flat, ratio=10**ratio, limbs=limbs)
     assert certify(embed(mesh), mesh.faces)
 
 
