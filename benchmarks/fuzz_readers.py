@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-import yaml
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 
-from layouts import write_dfaust, write_keypointnet, write_shapenet
+from layouts import write_dfaust, write_keypointnet, write_parameterization, write_shapenet
 
 from gensp.catalogue import find_runs, listed
 from gensp.checksums import FILES
@@ -27,7 +26,7 @@ from gensp.data.shapes import ShapeCollection
 from gensp.export.baking import read_textured
 from gensp.export.polygons import write_ply
 from gensp.export.textured import write_textured
-from gensp.files import read_yaml, save_npz, write_json, write_text
+from gensp.files import read_yaml, save_npz, write_json
 from gensp.geometry.diagnosis import diagnose
 from gensp.geometry.mesh import load_mesh, require_genus_zero, save_mesh
 from gensp.geometry.points import SurfacePoints
@@ -37,7 +36,6 @@ from gensp.geometry.spherical_map import SphericalMap, load_map, save_map
 from gensp.models.encoder import PointNet2Encoder
 from gensp.models.generator import DirectGenerator
 from gensp.models.store import load_model, save_model
-from gensp.pretrained import FITS
 from gensp.pretrained.ship import entry_of
 from gensp.restarts import begin, restart
 from gensp.runs import Run, seal
@@ -224,29 +222,6 @@ def _row_files(folder: Path) -> list[Path]:
     return [row_path(folder, "a")]
 
 
-def _config_files(folder: Path) -> list[Path]:
-    """What a parameterization leaves of its configuration."""
-    target = FITS["register"]
-    config = {
-        "method": {
-            "name": "gensp",
-            "object": {"level": 5, "fit": {"_target_": target, "level": 4}},
-        },
-        "fit": {"own": 0.5},
-        "refine": {
-            "object": {
-                "_target_": "gensp.methods.refinement.CertifiedRefinement",
-                "pull": 7.0,
-                "energy": "sigma",
-            }
-        },
-        "data": {"root": None, "seeds": [0, 1], "made": "2026-01-01"},
-    }
-    write_text(folder / "config.yaml", yaml.safe_dump(config))
-    write_text(folder / "manifest.json", "{}")
-    return [folder / "config.yaml"]
-
-
 READERS = (
     *(Reader(f"mesh {kind}", _mesh_files(f".{kind}"), _mesh) for kind in ("ply", "off", "stl")),
     Reader("mesh obj", _mesh_files(".obj"), _mesh),
@@ -264,7 +239,11 @@ READERS = (
     Reader("checkpoint", _checkpoint_files, WholeCheckpoints().load_checkpoint),
     Reader("run json", _run_files, _run),
     Reader("run files csv", _list_files, lambda path: Run(path.parent).outputs),
-    Reader("run config yaml", _config_files, read_yaml),
-    Reader("shipped model", _config_files, lambda path: entry_of(path.parent)),
+    Reader("run config yaml", lambda folder: [write_parameterization(folder)], read_yaml),
+    Reader(
+        "shipped model",
+        lambda folder: [write_parameterization(folder)],
+        lambda path: entry_of(path.parent),
+    ),
     Reader("row json", _row_files, lambda path: finished_row(path.parent.parent, "a")),
 )

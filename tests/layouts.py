@@ -1,13 +1,15 @@
-"""Small trees in the layouts of ShapeNetCore.v2, KeypointNet and D-FAUST."""
+"""Small trees in the layouts of ShapeNetCore.v2, KeypointNet, D-FAUST, and of a finished stage."""
 
 import json
 from pathlib import Path
 
 import h5py
 import numpy as np
+import yaml
 
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import icosphere
+from gensp.pretrained import FITS
 
 BALL = icosphere(2)
 BOTTLE, KNIFE = "02876657", "03624134"
@@ -115,3 +117,23 @@ def write_dfaust(root: Path, frames: int = 4) -> Path:
                 motion = BALL.vertices[:, :, None] * grown
                 file[name] = motion.astype(np.float32)
     return root
+
+
+def write_parameterization(folder: Path) -> Path:
+    """What stage=parameterize leaves of its configuration; gives the file."""
+    fit = {"_target_": FITS["register"], "level": 4}
+    refine = {
+        "_target_": "gensp.methods.refinement.CertifiedRefinement",
+        "pull": 7.0,
+        "energy": "sigma",
+    }
+    config = {
+        "method": {"name": "gensp", "object": {"level": 5, "fit": fit}},
+        "fit": {"own": 0.5},
+        "refine": {"object": refine},
+        "data": {"root": None, "seeds": [0, 1], "made": "2026-01-01"},
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "config.yaml").write_text(yaml.safe_dump(config))
+    (folder / "manifest.json").write_text("{}")
+    return folder / "config.yaml"

@@ -1,8 +1,8 @@
-import json
 from pkgutil import resolve_name
 
 import numpy as np
 import pytest
+from layouts import write_parameterization
 
 import gensp
 from gensp.errors import DamagedFile, MissingStage, Unsupported
@@ -58,23 +58,7 @@ def test_shipping_copies_the_model_and_how_it_is_used(
     monkeypatch: pytest.MonkeyPatch, tmp_path
 ) -> None:
     known, maps = shipped()[NAMES[0]], tmp_path / "maps"
-    target = FITS["register"]
-    config = {
-        "method": {
-            "name": "gensp",
-            "object": {"level": 5, "fit": {"_target_": target, "level": 4}},
-        },
-        "fit": {"own": 0.5},
-        "refine": {
-            "object": {
-                "_target_": "gensp.methods.refinement.CertifiedRefinement",
-                "pull": 7.0,
-                "energy": "sigma",
-            }
-        },
-    }
-    write_text(maps / "config.yaml", json.dumps(config))
-    write_text(maps / "manifest.json", "{}")
+    write_parameterization(maps)
     monkeypatch.setattr("gensp.pretrained.ship.FOLDER", tmp_path)
     monkeypatch.setattr("gensp.pretrained.ship.TABLE", tmp_path / "models.json")
     ship("copy", maps, known.path, novel=2.0)

@@ -1,13 +1,16 @@
 """`gensp check` and `gensp repair` on good and bad files."""
 
+import re
 import shlex
 from pathlib import Path
 
+import numpy as np
 import pytest
 from conftest import Refused, Run
 from test_bad_meshes import DEFECTS
 
-from gensp.geometry.mesh import load_mesh, require_genus_zero
+from gensp.geometry.mesh import Mesh, load_mesh, require_genus_zero, save_mesh
+from gensp.geometry.sphere import icosphere
 
 BROKEN = [name for name in DEFECTS if name != "huge"]
 
@@ -67,6 +70,17 @@ def test_check_breaks_no_name(gensp: Run, tmp_path: Path, monkeypatch: pytest.Mo
     assert lines[-1] == f"  type: gensp repair {ring} {ring.stem}_mended.ply --remesh"
 
 
+def test_repair_tells_the_area_that_it_drops(gensp: Run, tmp_path: Path) -> None:
+    """A ball with half the radius of the other has a fifth of the area of both."""
+    ball, two = icosphere(2), tmp_path / "two.ply"
+    both = np.concatenate([ball.vertices, ball.vertices / 2 + 3])
+    save_mesh(Mesh(both, np.concatenate([ball.faces, ball.faces + len(ball.vertices)])), two)
+    code, said, _ = gensp("repair", two, tmp_path / "one.ply")
+    assert code == 0
+    assert re.search(r"area of the dropped parts *│ 20\.0% of all parts'", said)
+    assert len(load_mesh(tmp_path / "one.ply").faces) == len(ball.faces)
+
+
 @pytest.mark.parametrize("end", [".ply", ".obj", ".off"])
 def test_repair_writes_a_sound_mesh(gensp: Run, tmp_path: Path, end: str) -> None:
     broken, mended = tmp_path / "cup.ply", tmp_path / f"mended{end}"
@@ -91,6 +105,20 @@ def test_repair_remeshes_when_asked(gensp: Run, refused: Refused, tmp_path: Path
     assert code == 0
     assert "1 → 0" in said
     require_genus_zero(load_mesh(mended))
+
+
+def test_remeshing_says_how_far_it_is(
+    gensp: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ring, words = tmp_path / "ring.ply", ("--remesh", "--resolution", 24, "--vertices", 600)
+    DEFECTS["genus_one"][0](ring)
+    monkeypatch.setattr("gensp.cli.terminal.EVERY", 0.0)
+    code, _, said = gensp("repair", ring, tmp_path / "mended.ply", *words)
+    lines = said.splitlines()
+    assert code == 0
+    assert lines[0] == "ring: surface on a grid of 24 cells"
+    assert len(lines) > 1, "the handle is closed by balls, one after the other"
+    assert all(line.startswith(f"{lines[0]}, ") for line in lines[1:])
 
 
 def test_repair_refuses_formats_it_cannot_write(refused: Refused, tmp_path: Path) -> None:

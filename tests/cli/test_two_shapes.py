@@ -1,6 +1,8 @@
 """`gensp match`, `transfer`, `morph` and `view` on good maps and on files that are none."""
 
 import csv
+import re
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +36,19 @@ def test_match_writes_both_ways(
     assert [int(row["face"]) for row in rows] == there["face"].tolist()
     assert [float(row["reliability"]) for row in rows] == there["reliability"].tolist()
     assert (tmp_path / "dumbbell_to_bumpy.npz").is_file()
+
+
+def test_match_tells_how_reliable_it_is(
+    gensp: Run, map_file: Path, other_file: Path, tmp_path: Path
+) -> None:
+    said = gensp("match", map_file, other_file, "--out", tmp_path)[1]
+    for first, second in permutations(("bumpy", "dumbbell")):
+        with np.load(tmp_path / f"{first}_to_{second}.npz") as found:
+            values = found["reliability"]
+        tenth = np.quantile(values, 0.1)
+        assert np.mean(values < tenth) == pytest.approx(0.1, abs=0.01)
+        told = f"mean {values.mean():.2f}, a tenth below {tenth:.2f}"
+        assert re.search(rf"{first} → {second}: reliability *│ {told} *│", said)
 
 
 def test_match_of_a_mesh_aligns(gensp: Run, bumpy_file: Path, map_file: Path) -> None:
