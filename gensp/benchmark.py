@@ -95,6 +95,7 @@ class Row:
 
     label: str
     groups: tuple[dict[str, float], ...]
+    learnt: bool = False
 
     def mean(self, key: str) -> float | None:
         """A figure's mean over the seeds; none where there is no figure."""
@@ -175,11 +176,14 @@ class Benchmark:
     def rows(self, split: str) -> list[Row]:
         """The methods that have shapes in a split, seeds together."""
         found: dict[str, list[dict[str, float]]] = {}
+        learnt = set()
         for summary in self.summaries:
-            group = figures(summary, split)
+            label, group = without_seed(summary_label(summary)), figures(summary, split)
             if group:
-                found.setdefault(without_seed(summary_label(summary)), []).append(group)
-        return [Row(label, tuple(groups)) for label, groups in found.items()]
+                found.setdefault(label, []).append(group)
+            if summary["method"] == "gensp":
+                learnt.add(label)
+        return [Row(label, tuple(groups), label in learnt) for label, groups in found.items()]
 
     def _parts(self) -> Iterator[tuple[Part, list[tuple[str, Sequence[Column], list[list[str]]]]]]:
         for part in PARTS:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from gensp.benchmark import Benchmark, without_seed
 from gensp.files import read_json, write_text
+from gensp.places import places_markdown
 from gensp.tables import Comparison, Summary, combine_summaries, summary_label
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def compare_methods(experiment: Path) -> list[Path]:
         return []
     benchmark = Benchmark(tuple(found.values()))
     texts = {
-        "table.md": benchmark.markdown(),
+        "table.md": "\n".join(filter(None, (benchmark.markdown(), places_markdown(benchmark)))),
         "table.csv": benchmark.csv(),
         "table.tex": benchmark.latex(),
     }

@@ -10,6 +10,7 @@ from commands import finished_items, train
 from gensp.benchmark import PARTS, Benchmark
 from gensp.comparison import compare_methods
 from gensp.pictures.methods import MethodFigures, curves_figure, methods_figure
+from gensp.places import places_markdown
 from gensp.tables import latex_table, latex_text, read_summary_csv
 from gensp.tasks.evaluate import Circle
 
@@ -77,6 +78,22 @@ def test_seeds_are_one_row_with_their_spread() -> None:
     assert row.mean("sigma_mean") == 2
     lines = Benchmark(tuple(runs)).csv().splitlines()
     assert sum(line.startswith("heads,full+certify+seed-") for line in lines) == 6
+
+
+def test_places_tell_who_is_first_and_who_folds() -> None:
+    learnt = summary("full", 1.5, method="gensp")
+    folding = summary("arap+dirichlet", 1.0)
+    folding["groups"]["all"]["affected_shapes"] = 4
+    slow = summary("ahsp", 2.0)
+    slow["groups"]["all"]["within"] = 0.9
+    learnt["groups"]["all"]["within"] = 0.8
+    text = places_markdown(Benchmark((learnt, folding, slow)))
+    lines = [line.strip("| ").split(" | ") for line in text.splitlines() if line.startswith("|")]
+    told = {line[0]: line[1:] for line in lines[lines.index(lines[-1]) - 12 :] if len(line) == 4}
+    assert told["mean σ"] == ["arap+dirichlet (1.000)", "full (1.500)", "1 of 2"]
+    assert told["within 0.05"] == ["ahsp (0.900)", "ahsp (0.900)", "2 of 2"]
+    assert told["keypoint error"][2] == "1 of 2"
+    assert places_markdown(Benchmark((folding, slow))) == ""
 
 
 def test_csv_says_what_the_summaries_say_to_the_last_digit() -> None:
