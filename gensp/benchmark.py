@@ -4,7 +4,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -87,6 +87,26 @@ PARTS = (
         ),
     ),
 )
+
+
+def best_baselines(summaries: Iterable[Summary], count: int) -> list[Summary]:
+    """The methods that learn nothing, fold nothing and fail on nothing, the best of them first.
+
+    By the error without rotation over all shapes; where there is no ground truth by mean σ.
+    """
+    sound = [
+        summary
+        for summary in summaries
+        if summary["method"] != "gensp"
+        and not summary.get("failed")
+        and summary["groups"]["all"].get("affected_shapes") == 0
+    ]
+    return sorted(sound, key=lambda summary: _rank(summary["groups"]["all"]))[:count]
+
+
+def _rank(group: Mapping[str, Any]) -> tuple[float, float]:
+    error, sigma = group.get("error"), group.get("sigma_mean")
+    return (math.inf if error is None else error, math.inf if sigma is None else sigma)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ import csv
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gensp.benchmark import Benchmark, without_seed
+from gensp.benchmark import Benchmark, best_baselines, without_seed
 from gensp.files import read_json, write_text
 from gensp.places import places_markdown
 from gensp.tables import Comparison, Summary, combine_summaries, summary_label
@@ -49,6 +49,20 @@ def compare_methods(experiment: Path) -> list[Path]:
     for name, text in texts.items():
         write_text(experiment / name, text)
     return [*(experiment / name for name in texts), *_plots(experiment, found, benchmark)]
+
+
+def baselines(experiment: Path, *, besides: Path, count: int) -> dict[str, Path]:
+    """Maps of the best methods that learn nothing: name → folder of stage parameterize.
+
+    Parameters
+    ----------
+    besides
+        A folder of maps that is not one of them.
+    """
+    found = {folder.with_name("parameterize"): s for folder, s in _evaluated(experiment).items()}
+    found.pop(besides, None)
+    best = best_baselines(found.values(), count)
+    return {summary_label(s): f for s in best for f, summary in found.items() if summary is s}
 
 
 def _plots(experiment: Path, found: dict[Path, Summary], benchmark: Benchmark) -> list[Path]:

@@ -11,17 +11,19 @@ from PIL import Image
 from gensp.errors import MissingStage, Unsupported
 from gensp.files import save_npz, write_json, write_text
 from gensp.geometry.mesh import Mesh
+from gensp.geometry.points import SurfacePoints
 from gensp.geometry.sphere import icosphere, sample_sphere, unit
 from gensp.geometry.spherical_map import SphericalMap, save_map
 from gensp.pictures import PictureOptions, draw_all
 from gensp.pictures.curves import error_curves, loss_curves, read_history
 from gensp.pictures.draw import tree_edges
 from gensp.pictures.latent import principal_plane
-from gensp.pictures.material import Material
+from gensp.pictures.material import Generated, Material
 from gensp.pictures.montage import Tile, grid
 from gensp.pictures.rasterize import rasterize
 from gensp.pictures.render import Scene, look
 from gensp.pictures.sheets import (
+    Way,
     contact_sheet,
     distortion_colours,
     flow_tiles,
@@ -258,7 +260,9 @@ def test_tree_edges_name_parents():
 # --- all of it -------------------------------------------------------------------------------
 
 
-OPTIONS = PictureOptions(tile=48, frames=3, strips=1, turning=2, turning_faces=400, jobs=1)
+OPTIONS = PictureOptions(
+    tile=48, frames=3, strips=1, tree_strips=1, matches=1, turning=2, turning_faces=400, jobs=1
+)
 SUMMARY = {
     "variant": "full",
     "method": "gensp",
@@ -292,6 +296,12 @@ def add_training(folder: Path) -> dict[str, Path]:
     return {name: folder / name for name in ("augment", "implicit", "correspond")}
 
 
+def corners(first: str, second: str) -> tuple[SurfacePoints, SurfacePoints, bool]:
+    """Vertices of both shapes that are the same."""
+    at = SurfacePoints(np.arange(40), np.eye(3)[np.zeros(40, dtype=int)])
+    return at, at, False
+
+
 class Sources(HTMLParser):
     """Every address that a page names, and the number of its pictures."""
 
@@ -310,7 +320,8 @@ def test_everything_is_drawn_and_the_page_needs_no_network(tmp_path, maps):
     rows = "id,sigma_mean,sigma_max,error\nbumpy,1.5,3,\nellipsoid,1.9,2,0.02\nfailed,9,9,1\n"
     write_text(tmp_path / "evaluate" / "shapes.csv", rows)
     ball = icosphere(1)
-    morphs = {"ellipsoid": [Mesh(ball.vertices * s, ball.faces) for s in (1.0, 1.2)]}
+    morph = [Mesh(ball.vertices * s, ball.faces) for s in (1.0, 1.2)]
+    ways = {"ellipsoid": Way(morph, ["bumpy", "ellipsoid"])}
     drawn = draw_all(
         tmp_path / "evaluate",
         runs=runs,
@@ -318,7 +329,11 @@ def test_everything_is_drawn_and_the_page_needs_no_network(tmp_path, maps):
         collection="toys",
         method="full",
         summary=SUMMARY,
-        morphs=morphs,
+        generated=Generated(
+            {"ellipsoid": morph}, {"ellipsoid": Way(morph, ["bumpy", "ellipsoid"])}
+        ),
+        truth=corners,
+        others=others,
         settings={"source": "https://example.org"},
         options=OPTIONS,
     )
@@ -346,7 +361,7 @@ def test_the_worst_are_told_by_each_figure(tmp_path, bumpy, ellipsoid):
         mesh.name: SphericalMap(unit(mesh.vertices), mesh.vertices, mesh.faces, mesh.name)
         for mesh in (bumpy, ellipsoid)
     }
-    material = Material(tmp_path, {}, {}, "toys", None, {}, OPTIONS, maps)
+    material = Material(tmp_path, {}, {}, "toys", None, OPTIONS, maps)
     assert material.worst("sigma_mean", 5) == ["ellipsoid", "bumpy"]
     assert material.worst("error", 1) == ["bumpy"]
     (path,) = worst_shapes(material)
@@ -365,6 +380,8 @@ def test_a_baseline_names_what_is_not_drawn(tmp_path, maps):
     assert set(drawn.pictures) == {"Collection", "Distortion", "Shape by shape"}
     assert drawn.not_drawn["Flows"] == "this run has no stage augment"
     assert drawn.not_drawn["Morphs"] == "this method has no generator"
+    assert "truth" in drawn.not_drawn["Matching"]
+    assert "learns nothing" in drawn.not_drawn["Side by side"]
     for reason in drawn.not_drawn.values():
         assert reason in drawn.report.read_text(encoding="utf-8")
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gensp.data.folder import Shape, list_meshes, read_manifest, with_split
-from gensp.data.ground_truth import GroundTruth, load_ground_truth
+from gensp.data.ground_truth import GroundTruth, common_points, load_ground_truth
 from gensp.data.keypoints import (
     keypoints_of,
     load_keypoint_records,
@@ -25,6 +25,7 @@ from gensp.files import content_hash, read_rows
 
 if TYPE_CHECKING:
     from gensp.geometry.mesh import Mesh
+    from gensp.geometry.points import SurfacePoints
 
 SPHERE = "sphere"
 
@@ -188,6 +189,21 @@ class ShapeCollection:
         """Semantic keypoints of a shape, shared by all templates, if the collection has them."""
         record = self.keypoint_record(id)
         return None if record is None else keypoints_of(record)
+
+    def points_in_common(
+        self, first: str, second: str
+    ) -> tuple["SurfacePoints", "SurfacePoints", bool] | None:
+        """The same points on two shapes, and whether they are dense; else they are keypoints.
+
+        None where no ground truth joins the two.
+        """
+        for known, dense in ((self.ground_truth, True), (self.keypoints, False)):
+            one, other = known(first), known(second)
+            if one is not None and other is not None:
+                rows, others = common_points(one, other)
+                if len(rows):
+                    return one.take(rows).at, other.take(others).at, dense
+        return None
 
     def keypoint_record(self, id: str) -> Mapping[str, Any] | None:
         """The same as the record of `keypoints.json`, symmetries included."""

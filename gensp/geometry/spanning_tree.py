@@ -161,3 +161,22 @@ def ancestors(
     for node in tree.order[:0:-1]:
         used[tree.parent[node]] |= used[node]
     return used
+
+
+def along_path(
+    points: Float[np.ndarray, "k d"], count: int
+) -> tuple[Float[np.ndarray, "c d"], Int[np.ndarray, " c"]]:
+    """Points at equal distances along a polyline, its ends included.
+
+    Returns
+    -------
+    (c, d) array, (c,) array
+        The points, and of each the vertex that its segment ends in.
+    """
+    length = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    reached = np.concatenate([[0.0], np.cumsum(length)])
+    at = np.linspace(0, reached[-1], count)
+    found = np.stack([np.interp(at, reached, column) for column in points.T], axis=1)
+    # The start lies on the first segment; rounding may put the last beyond the end.
+    last = len(points) - 1
+    return found, np.clip(np.searchsorted(reached, at), min(1, last), last).astype(np.int64)

@@ -1,25 +1,23 @@
 """All pictures of one evaluation and its page, from the folders that the stages left."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from PIL import Image
-
 from gensp.errors import MissingStage
 from gensp.files import load_npz, read_json
-from gensp.geometry.mesh import Mesh
 from gensp.geometry.spherical_map import SphericalMap, load_map
 from gensp.layout import item_file
 from gensp.pictures import sheets
+from gensp.pictures.comparing import matching, side_by_side
 from gensp.pictures.curves import error_curves, loss_curves, read_history, save_figure
 from gensp.pictures.latent import latent_map
-from gensp.pictures.material import Material, NotDrawn, PictureOptions
-from gensp.pictures.montage import Tile, save_png
+from gensp.pictures.material import Generated, Material, NotDrawn, PictureOptions, Truth
+from gensp.pictures.montage import save_png
 from gensp.pictures.render import up_axis
 from gensp.pictures.report import Page, write_report
+from gensp.pictures.strips import flow_strips, morph_strips, prediction_strips, tree_strips
 from gensp.pictures.worst import worst_shapes
 
 TRAINED = ("implicit", "initialize", "finetune")
@@ -57,54 +55,6 @@ def single_shapes(material: Material) -> list[Path]:
         )
         for name, drawn in material.drawn_maps.items()
     ]
-
-
-def morph_strips(material: Material) -> list[Path]:
-    """The generator's surfaces on the way from the sphere to a shape."""
-    if not material.morphs:
-        raise NotDrawn("this method has no generator")
-    size = material.strip_tile
-    rows = sheets.together(
-        lambda named: sheets.morph_tiles(named[1], named[0], material.view, size, material.place),
-        material.morphs.items(),
-        material.options.jobs,
-    )
-    return [_strips(material, rows, "morphs", "From the sphere to a shape", "g(t·z)")]
-
-
-def flow_strips(material: Material) -> list[Path]:
-    """Mean curvature flows of input shapes."""
-    files = material.files("augment", "flows")
-    found = {name: split for name, split in material.splits.items() if files[name].exists()}
-    if not found:
-        raise NotDrawn("stage augment left no flow of these shapes")
-    size, frames = material.strip_tile, material.options.frames
-
-    def strip(name: str) -> list[Tile]:
-        flow = load_npz(files[name])
-        vertices, faces = flow["vertices"].astype(np.float64), flow["faces"].astype(np.int64)
-        return sheets.flow_tiles(vertices, faces, name, material.view, size, frames)
-
-    rows = sheets.together(strip, material.options.chosen(found), material.options.jobs)
-    note = "conformalised mean curvature flow, equal steps of arc length"
-    return [_strips(material, rows, "flows", "From a shape to the sphere", note)]
-
-
-def prediction_strips(material: Material) -> list[Path]:
-    """Inputs beside the surfaces that the generator makes of them."""
-    files = material.files("parameterize", "predictions")
-    found = {name: material.splits[name] for name in material.maps if files[name].exists()}
-    if not found:
-        raise NotDrawn("this method keeps no prediction")
-    rows = []
-    for name in material.options.chosen(found):
-        generated = load_npz(files[name]).get("generated")
-        if generated is None:
-            raise NotDrawn("the predictions hold no generated surface")
-        pair = material.maps[name], generated.astype(np.float64)
-        look = material.view, material.strip_tile, material.place
-        rows.append(sheets.prediction_tiles(*pair, *look))
-    return [_strips(material, rows, "predictions", "Generated surfaces", "input, g(·, z), map")]
 
 
 def latents(material: Material) -> list[Path]:
@@ -149,13 +99,6 @@ def errors(material: Material) -> list[Path]:
     return [save_figure(error_curves(curves), material.pictures / "errors.png")]
 
 
-def _strips(
-    material: Material, rows: Sequence[Sequence[Tile]], file: str, title: str, note: str
-) -> Path:
-    picture: Image.Image = sheets.strips(rows, title, note)
-    return save_png(picture, material.pictures / f"{file}.png")
-
-
 # Kind, sentence for the page, function. The page shows them in this order.
 KINDS: tuple[tuple[str, str, Callable[[Material], list[Path]]], ...] = (
     ("Collection", "One texture on the sphere, carried to every shape by its map.", contact_sheet),
@@ -164,11 +107,28 @@ KINDS: tuple[tuple[str, str, Callable[[Material], list[Path]]], ...] = (
         "The generator from the sphere to the shape, g(t·z) for t from 0 to 1.",
         morph_strips,
     ),
+    (
+        "Morphs along the tree",
+        "The generator from the sphere to the shape, through the nodes of the tree on the way.",
+        tree_strips,
+    ),
     ("Predictions", "What the generator makes of an input, and the final map.", prediction_strips),
     ("Flows", "Stage I: from a shape to the sphere.", flow_strips),
     ("Latent space", "Codes relative to the sphere's; registered edges are dark.", latents),
     ("Losses", "Means over the epoch; broken: validation shapes on the way.", losses),
     ("Errors", "Implied correspondence against ground truth.", errors),
+    (
+        "Matching",
+        "Colours of the first shape on others, through the sphere and without any rotation; "
+        "below, the error where there is ground truth.",
+        matching,
+    ),
+    (
+        "Side by side",
+        "The same texture through these maps, and through those of the best methods of this "
+        "experiment that learn nothing and fold nothing.",
+        side_by_side,
+    ),
     ("Distortion", "Isometric distortion σ of every triangle.", distortion_sheet),
     (
         "Worst shapes",
@@ -187,8 +147,9 @@ def draw_all(
     collection: str,
     method: str = "",
     summary: Mapping[str, Any] | None = None,
-    morphs: Mapping[str, Sequence[Mesh]] | None = None,
-    place: sheets.Place = sheets.unmoved,
+    generated: Generated | None = None,
+    truth: Truth | None = None,
+    others: Mapping[str, Path] | None = None,
     settings: Mapping[str, Any] | None = None,
     options: PictureOptions | None = None,
 ) -> Drawn:
@@ -204,10 +165,12 @@ def draw_all(
         Split of every shape, in the order of the sheets; shapes without a map are left out.
     collection, method, summary
         Words for the titles, and the figures of summary.json.
-    morphs
-        For a few shapes the generator's surfaces g(t·z), on an icosphere's triangles.
-    place
-        Where maps have the generator's points of the sphere (`gensp.models.atlas.Atlas.place`).
+    generated
+        Surfaces that a generator made for the pictures.
+    truth
+        Where two shapes, given by name, have the same points.
+    others
+        Folders of stage parameterize of other methods, by the names that are shown.
     settings
         The configuration, shown in the page.
 
@@ -218,7 +181,8 @@ def draw_all(
     """
     options = options or PictureOptions()
     title, maps = " · ".join(filter(None, (collection, method))), _maps(runs, splits)
-    material = Material(folder, runs, splits, title, summary, morphs or {}, options, maps, place)
+    known = folder, runs, splits, title, summary, options, maps
+    material = Material(*known, generated or Generated(), truth, others or {})
     pictures, not_drawn = _all_kinds(material)
     page = _page(material, pictures, not_drawn, settings or {})
     report = write_report(page, folder / "report.html", turning_faces=options.turning_faces)

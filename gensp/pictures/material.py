@@ -1,6 +1,6 @@
 """What an evaluation has to draw from: maps, folders of the stages, figures; and how much."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -11,11 +11,15 @@ import numpy as np
 from gensp.errors import GenSPError
 from gensp.files import read_rows
 from gensp.geometry.mesh import Mesh
+from gensp.geometry.points import SurfacePoints
 from gensp.geometry.spherical_map import SphericalMap
 from gensp.layout import item_file
 from gensp.pictures import sheets
 from gensp.pictures.montage import Tile
 from gensp.pictures.render import View, look
+
+# Names of two shapes → the same points on both, and whether they are dense; None: none are known.
+Truth = Callable[[str, str], tuple[SurfacePoints, SurfacePoints, bool] | None]
 
 
 class NotDrawn(GenSPError):
@@ -34,6 +38,10 @@ class PictureOptions:
         Pictures of a morph or flow strip.
     strips
         Shapes that are drawn as morphs, flows and predictions.
+    tree_strips
+        Shapes that are drawn as morphs along the tree.
+    matches
+        Shapes that colours of one more are carried to, and that are drawn through other maps.
     turning, turning_faces
         Shapes that turn in the page, and how many faces each may have.
     gallery
@@ -47,6 +55,8 @@ class PictureOptions:
     tile: int = 360
     frames: int = 7
     strips: int = 3
+    tree_strips: int = 3
+    matches: int = 5
     turning: int = 12
     turning_faces: int = 20_000
     gallery: int = 40
@@ -62,8 +72,32 @@ class PictureOptions:
         first = [name for name in ordered if splits[name] == splits[ordered[0]]]
         wanted = self.strips if count is None else count
         pool = first if len(first) >= wanted else ordered
-        places = np.linspace(0, len(pool) - 1, min(wanted, len(pool))).round().astype(int)
-        return [pool[place] for place in places]
+        return evenly(pool, wanted)
+
+
+def evenly(names: Sequence[str], count: int) -> list[str]:
+    """So many of them, evenly through all."""
+    places = np.linspace(0, len(names) - 1, min(count, len(names))).round().astype(int)
+    return [names[place] for place in places]
+
+
+@dataclass(frozen=True)
+class Generated:
+    """Surfaces that a generator made for the pictures, on an icosphere's triangles.
+
+    Attributes
+    ----------
+    morphs
+        For a few shapes g(t·z).
+    ways
+        For a few shapes the surfaces along the tree.
+    place
+        Where maps have the generator's points of the sphere (`gensp.models.atlas.Atlas.place`).
+    """
+
+    morphs: Mapping[str, Sequence[Mesh]] = field(default_factory=dict)
+    ways: Mapping[str, sheets.Way] = field(default_factory=dict)
+    place: sheets.Place = sheets.unmoved
 
 
 @dataclass(frozen=True)
@@ -75,10 +109,11 @@ class Material:
     splits: Mapping[str, str]
     title: str
     summary: Mapping[str, Any] | None
-    morphs: Mapping[str, Sequence[Mesh]]
     options: PictureOptions
     maps: Mapping[str, SphericalMap] = field(default_factory=dict)
-    place: sheets.Place = sheets.unmoved
+    generated: Generated = Generated()
+    truth: Truth | None = None
+    others: Mapping[str, Path] = field(default_factory=dict)
 
     @property
     def pictures(self) -> Path:

@@ -4,6 +4,7 @@ Every pixel finds its triangle by a z-buffer and interpolates what the vertices 
 texture is evaluated once per pixel and stays crisp on a coarse mesh. No OpenGL is needed.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -103,6 +104,14 @@ class Scene:
     def by_face(self, colours: Float[np.ndarray, "m 3"]) -> UInt8[np.ndarray, "size size 3"]:
         """With one colour for every triangle."""
         return self._picture(colours[self.fragments.face])
+
+    def by_point(
+        self, colour: Callable[[Float[np.ndarray, "q 3"]], Float[np.ndarray, "q 3"]]
+    ) -> UInt8[np.ndarray, "size size 3"]:
+        """With a colour for every visible point of the surface."""
+        return self._picture(
+            colour(self.fragments.interpolate(self.mesh.vertices, self.mesh.faces))
+        )
 
     def _picture(self, colours: Float[np.ndarray, "q 3"]) -> UInt8[np.ndarray, "size size 3"]:
         fine = np.ones((self._fine**2, 3))

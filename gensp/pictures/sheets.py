@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import matplotlib
@@ -159,6 +159,23 @@ def morph_tiles(
             Scene(mesh, view, size).textured(p), f"t = {k / last:.2f}", name if k == last else " "
         )
         for k, mesh in enumerate(meshes)
+    ]
+
+
+@dataclass(frozen=True)
+class Way:
+    """Surfaces on a way along a tree, and of each the node that comes next."""
+
+    meshes: Sequence[Mesh]
+    nodes: Sequence[str]
+
+
+def way_tiles(way: Way, name: str, view: View, size: int, place: Place = unmoved) -> list[Tile]:
+    """As `morph_tiles`, with the nodes below."""
+    tiles = morph_tiles(way.meshes, name, view, size, place)
+    return [
+        replace(tile, caption=node, note=tile.caption)
+        for tile, node in zip(tiles, way.nodes, strict=True)
     ]
 
 

@@ -6,25 +6,25 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-import torch
 
+from gensp.comparison import baselines
 from gensp.compute import Row, stored_rows
 from gensp.data.shapes import ShapeCollection
 from gensp.files import read_json, read_rows, write_json, write_text
-from gensp.geometry.mesh import Mesh
-from gensp.geometry.sphere import icosphere
 from gensp.models import Atlas, load_model
 from gensp.models.network import Network
 from gensp.pictures import PictureOptions, draw_all
-from gensp.pictures.sheets import Place, unmoved
+from gensp.pictures.material import Generated, evenly
+from gensp.pictures.sheets import Way, unmoved
 from gensp.runs import SETTINGS, Run
 from gensp.stages.base import ItemStage, write_table
+from gensp.stages.morphs import LatentTree, straight
 from gensp.stages.summary import Record, summarize, without_nan
 from gensp.tables import summary_csv, summary_markdown
 from gensp.tasks.evaluate import mapped_ids, pairs_path, prediction
 
 TRAINED = ("implicit", "correspond", "initialize", "finetune")
-_MORPH_LEVEL = 5
+_BASELINES = 2  # beside this variant in a picture
 _HEADLINES = ("error", "sigma_mean")
 
 
@@ -119,17 +119,17 @@ class EvaluateStage(ItemStage):
         if self.pictures is None:
             return
         ids = mapped_ids(self.collection, self.runs["parameterize"])
-        splits = {id: self.collection.shape(id).split for id in ids}
         stored = self.folder / SETTINGS
         draw_all(
             self.folder,
             runs=self.runs,
-            splits=splits,
+            splits=self.collection.splits(ids),
             collection=self.collection.name,
             method=self.names["variant"],
             summary=summary,
-            morphs=self._morphs(self.pictures.chosen(splits), self.pictures.frames),
-            place=self._place(),
+            generated=self._generated(ids, self.pictures),
+            truth=self.collection.points_in_common,
+            others=self._baselines(),
             settings=read_json(stored)["settings"] if stored.is_file() else {},
             options=self.pictures,
         )
@@ -141,35 +141,39 @@ class EvaluateStage(ItemStage):
             return {}
         return load_model(self.runs["finetune"] / "model.pt")
 
-    def _place(self) -> Place:
-        """Where maps have the generator's points of the sphere."""
-        atlas = self._networks.get("atlas")
-        return atlas.place if isinstance(atlas, Atlas) else unmoved
+    def _baselines(self) -> dict[str, Path]:
+        """What the maps are shown beside, where the experiment has evaluated any."""
+        maps = self.runs["parameterize"].absolute()
+        return baselines(maps.parent.parent, besides=maps, count=_BASELINES)
 
-    def _morphs(self, ids: Sequence[str], frames: int) -> dict[str, list[Mesh]]:
-        """The generator's surfaces g(t·z) between the sphere and some shapes."""
+    def _generated(self, ids: Sequence[str], options: PictureOptions) -> Generated:
+        """The generator's surfaces on the ways from the sphere to some shapes."""
         if "generator" not in self._networks:
+            return Generated()
+        generator, frames = self._networks["generator"].eval(), options.frames
+        atlas = self._networks.get("atlas")
+        chosen = options.chosen(self.collection.splits(ids))
+        codes = {id: code for id in ids if (code := self._code(id)) is not None}
+        return Generated(
+            {id: straight(generator, codes[id], frames) for id in chosen if id in codes},
+            self._ways(generator, codes, evenly(list(codes), options.tree_strips), frames),
+            atlas.place if isinstance(atlas, Atlas) else unmoved,
+        )
+
+    def _ways(
+        self,
+        generator: Network,
+        codes: Mapping[str, np.ndarray],
+        chosen: Sequence[str],
+        frames: int,
+    ) -> dict[str, Way]:
+        if "correspond" not in self.runs:
             return {}
-        generator = self._networks["generator"].eval()
-        codes = {id: self._code(id) for id in ids}
-        return {
-            id: morph(generator, code, frames) for id, code in codes.items() if code is not None
-        }
+        tree = LatentTree.read(self.runs["correspond"], self.runs["finetune"])
+        return {id: tree.way(generator, id, codes[id], frames) for id in chosen}
 
     def _code(self, id: str) -> np.ndarray | None:
         return prediction(self.runs["parameterize"], id).get("code")
-
-
-@torch.no_grad()
-def morph(
-    generator: torch.nn.Module, code: np.ndarray, frames: int, level: int = _MORPH_LEVEL
-) -> list[Mesh]:
-    """Images of the icosphere under g(t·z, ·) for t from 0 to 1."""
-    ball = icosphere(level)
-    p = torch.from_numpy(ball.vertices.astype(np.float32))[None]
-    z = torch.from_numpy(np.asarray(code, dtype=np.float32))[None]
-    images = [generator(t * z, p)[0].double().numpy() for t in torch.linspace(0, 1, frames)]
-    return [Mesh(image, ball.faces, "generated") for image in images]
 
 
 def _with_errors(rows: list[Record], pairs: list[Record]) -> list[Record]:
