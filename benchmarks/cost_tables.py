@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from gensp.pictures.curves import figure, save_figure
+from gensp.pictures.curves import decade_ticks, figure, save_figure
 from gensp.sweeps import ORDER
 
 Row = dict[str, Any]
@@ -126,6 +126,9 @@ def draw(rows: Sequence[Row], pair_rows: Sequence[Row], path: Path) -> None:
         chosen = [(row["shapes"], row["seconds"]) for row in pair_rows if row["what"] == what]
         panels[2].loglog(*zip(*chosen, strict=True), "o-", label=what)
     panels[2].set(xlabel="shapes")
+    for panel in panels:
+        decade_ticks(panel.xaxis)
+        decade_ticks(panel.yaxis)
     for panel in panels[[0, 2]]:
         panel.legend(fontsize=7)
     save_figure(drawing, path)

@@ -329,11 +329,9 @@ def test_everything_is_drawn_and_the_page_needs_no_network(tmp_path, maps):
         collection="toys",
         method="full",
         summary=SUMMARY,
-        generated=Generated(
-            {"ellipsoid": morph}, {"ellipsoid": Way(morph, ["bumpy", "ellipsoid"])}
-        ),
+        generated=Generated({"ellipsoid": morph}, ways),
         truth=corners,
-        others=others,
+        others={"other": tmp_path / "parameterize"},
         settings={"source": "https://example.org"},
         options=OPTIONS,
     )

@@ -9,7 +9,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from PIL import Image
 from scipy.spatial import cKDTree
 
-from gensp.geometry.consistency import correspondence_error
+from gensp.geometry.implied import correspondence_error
 from gensp.geometry.points import SurfacePoints
 from gensp.geometry.spherical_map import SphericalMap, load_map
 from gensp.layout import item_file

@@ -13,6 +13,7 @@ from gensp.pictures.montage import SPLIT_COLOURS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 History = Mapping[str, Sequence[float]]
@@ -101,6 +102,15 @@ def error_curves(curves: Mapping[str, Any]) -> "Figure":
     panel.set_xlim(left=0)
     plain(panel)
     return drawing
+
+
+def decade_ticks(axis: "Axis") -> None:
+    """Plain numbers at 1, 2 and 5 of every decade of a logarithmic axis, and none between."""
+    from matplotlib.ticker import LogLocator
+
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter("")
 
 
 def plain(panel: "Axes", *, legend: bool = True) -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gensp.pictures.curves import figure, plain
+from gensp.pictures.curves import decade_ticks, figure, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -126,8 +126,6 @@ def _scatter(panel: "Axes", methods: Sequence[MethodFigures]) -> None:
 
 
 def _curves(panel: "Axes", methods: Sequence[MethodFigures]) -> None:
-    from matplotlib.ticker import LogLocator
-
     for place, method in enumerate(methods):
         largest = np.sort(np.asarray(method.sigma_max, dtype=float))
         share = np.arange(1, len(largest) + 1) / (len(largest) + method.failures)
@@ -135,9 +133,7 @@ def _curves(panel: "Axes", methods: Sequence[MethodFigures]) -> None:
         panel.step(largest, share, where="post", label=method.label, **style)
     ends = [value for m in methods for value in m.sigma_max if value <= _LARGEST]
     panel.set_xscale("log")
-    panel.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    panel.xaxis.set_major_formatter("{x:g}")
-    panel.xaxis.set_minor_formatter("")
+    decade_ticks(panel.xaxis)
     panel.set(xlabel="largest σ of a shape", ylabel="share of shapes below", ylim=(0, 1.02))
     panel.set_xlim(right=1.1 * max(ends, default=_LARGEST))
     plain(panel, legend=False)
