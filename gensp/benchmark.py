@@ -99,7 +99,7 @@ def best_baselines(summaries: Iterable[Summary], count: int) -> list[Summary]:
         for summary in summaries
         if summary["method"] != "gensp"
         and not summary.get("failed")
-        and summary["groups"]["all"].get("affected_shapes") == 0
+        and summary["groups"].get("all", {}).get("affected_shapes") == 0
     ]
     return sorted(sound, key=lambda summary: _rank(summary["groups"]["all"]))[:count]
 

@@ -1,6 +1,7 @@
 import json
 
-from gensp.comparison import compare_variants
+from gensp.comparison import baselines, compare_variants
+from gensp.files import write_json
 
 
 def summary(variant: str, sigma: float) -> dict:
@@ -25,3 +26,30 @@ def test_variants_stand_side_by_side_in_the_papers_order(tmp_path):
 def test_an_experiment_without_tables_writes_none(tmp_path):
     assert compare_variants(tmp_path).summaries == ()
     assert list(tmp_path.iterdir()) == []
+
+
+def evaluated(root, variant: str, error: float | None, *, bad: int = 0, method: str = "") -> None:
+    group = {"sigma_mean": 2.0, "affected_shapes": bad}
+    group |= {} if error is None else {"error": error}
+    names = {"variant": variant, "method": method or variant}
+    write_json(root / variant / "evaluate" / "summary.json", {**names, "groups": {"all": group}})
+
+
+def test_the_best_baselines_learn_nothing_and_fold_nothing(tmp_path):
+    evaluated(tmp_path, "full", 0.01, method="gensp")
+    evaluated(tmp_path, "arap", 0.02, bad=1)
+    for variant, error in (("ahsp", 0.04), ("cmcf", 0.05), ("stretch", 0.03)):
+        evaluated(tmp_path, variant, error)
+    maps = {name: tmp_path / name / "parameterize" for name in ("ahsp", "cmcf", "stretch")}
+    found = baselines(tmp_path, besides=tmp_path / "full" / "parameterize", count=2)
+    assert list(found.items()) == [("stretch", maps["stretch"]), ("ahsp", maps["ahsp"])]
+    others = baselines(tmp_path, besides=maps["stretch"], count=2)
+    assert list(others) == ["ahsp", "cmcf"]
+
+
+def test_without_ground_truth_the_least_distorted_are_the_best(tmp_path):
+    for variant, sigma in (("a", 3.0), ("b", 1.0), ("c", 2.0)):
+        group = {"sigma_mean": sigma, "affected_shapes": 0}
+        found = {"variant": variant, "method": variant, "groups": {"all": group}}
+        write_json(tmp_path / variant / "evaluate" / "summary.json", found)
+    assert list(baselines(tmp_path, besides=tmp_path, count=2)) == ["b", "c"]

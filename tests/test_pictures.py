@@ -378,7 +378,7 @@ def test_a_baseline_names_what_is_not_drawn(tmp_path, maps):
     assert set(drawn.pictures) == {"Collection", "Distortion", "Shape by shape"}
     assert drawn.not_drawn["Flows"] == "this run has no stage augment"
     assert drawn.not_drawn["Morphs"] == "this method has no generator"
-    assert "truth" in drawn.not_drawn["Matching"]
+    assert "ground truth" in drawn.not_drawn["Matching"]
     assert "learns nothing" in drawn.not_drawn["Side by side"]
     for reason in drawn.not_drawn.values():
         assert reason in drawn.report.read_text(encoding="utf-8")

@@ -145,7 +145,7 @@ def textured_rows(
 def matching(material: Material) -> list[Path]:
     """Colours of one shape on a few others, with the error."""
     if material.truth is None:
-        raise NotDrawn("nothing is known of the collection's ground truth")
+        raise NotDrawn("no ground truth is known of these shapes")
     names = _few(material)
     if len(names) < 2:
         raise NotDrawn("there is one map alone")

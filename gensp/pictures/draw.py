@@ -153,7 +153,7 @@ def draw_all(
     settings: Mapping[str, Any] | None = None,
     options: PictureOptions | None = None,
 ) -> Drawn:
-    """Draw everything that an evaluation has material for, and the page that shows it.
+    """Draw what an evaluation has material for, and the page that shows it.
 
     Parameters
     ----------
@@ -165,12 +165,9 @@ def draw_all(
         Split of every shape, in the order of the sheets; shapes without a map are left out.
     collection, method, summary
         Words for the titles, and the figures of summary.json.
-    generated
-        Surfaces that a generator made for the pictures.
-    truth
-        Where two shapes, given by name, have the same points.
-    others
-        Folders of stage parameterize of other methods, by the names that are shown.
+    generated, truth, others
+        Surfaces that a generator made; where two shapes, given by name, have the same points;
+        other methods' folders of stage parameterize, by the names that are shown.
     settings
         The configuration, shown in the page.
 
@@ -181,8 +178,8 @@ def draw_all(
     """
     options = options or PictureOptions()
     title, maps = " · ".join(filter(None, (collection, method))), _maps(runs, splits)
-    known = folder, runs, splits, title, summary, options, maps
-    material = Material(*known, generated or Generated(), truth, others or {})
+    shown = generated or Generated(), truth, others or {}
+    material = Material(folder, runs, splits, title, summary, options, maps, *shown)
     pictures, not_drawn = _all_kinds(material)
     page = _page(material, pictures, not_drawn, settings or {})
     report = write_report(page, folder / "report.html", turning_faces=options.turning_faces)

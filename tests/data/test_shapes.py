@@ -75,6 +75,19 @@ def test_keypoints_lie_where_the_record_says(quadrupeds: ShapeCollection) -> Non
     assert np.abs(keypoints.at.on(mesh.vertices, mesh.faces) - expected).max() < 1e-4
 
 
+def test_points_in_common_are_dense_within_a_kind_and_keypoints_across(
+    quadrupeds: ShapeCollection, heads: ShapeCollection
+) -> None:
+    horse, other, dense = quadrupeds.points_in_common("horse_rest", "horse_gallop_jump")
+    assert dense
+    assert len(horse) == len(other) > 1000
+    across = quadrupeds.points_in_common("horse_rest", "cow_gallop")
+    keypoints = quadrupeds.keypoints("horse_rest")
+    assert not across[2]
+    np.testing.assert_array_equal(np.sort(across[0].faces), np.sort(keypoints.at.faces))
+    assert heads.points_in_common("id000_neutral", "id003_expr")[2]
+
+
 def test_ground_truth_round_trip_leaves_out_unmatched_rows(
     tmp_path: Path, bumpy: Mesh, rng: np.random.Generator
 ) -> None:

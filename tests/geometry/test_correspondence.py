@@ -8,7 +8,7 @@ from gensp.geometry.correspondence import carry, closest_agreeing, correspondenc
 from gensp.geometry.distance import closest_point
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.points import SurfacePoints, sample_surface
-from gensp.geometry.spanning_tree import Tree, ancestors, spanning_tree
+from gensp.geometry.spanning_tree import Tree, along_path, ancestors, spanning_tree
 from gensp.geometry.sphere import icosphere
 
 
@@ -221,3 +221,20 @@ def test_rigid_motion_of_everything_changes_nothing(
 def test_brute_force_helper_counts_cayleys_trees() -> None:
     assert len(rooted_trees(4, 0)) == 4**2
     assert len(list(combinations(range(4), 2))) == 6
+
+
+def test_a_path_is_walked_in_equal_steps() -> None:
+    corner = np.array([[0.0, 0], [3, 0], [3, 1]])
+    points, ends = along_path(corner, 5)
+    np.testing.assert_allclose(points, [[0, 0], [1, 0], [2, 0], [3, 0], [3, 1]])
+    assert ends.tolist() == [1, 1, 1, 1, 2]
+
+
+def test_a_path_that_rests_is_walked_as_one_that_does_not() -> None:
+    corner = np.array([[0.0, 0], [3, 0], [3, 0], [3, 1]])
+    points, ends = along_path(corner, 5)
+    np.testing.assert_allclose(points, along_path(corner[[0, 1, 3]], 5)[0])
+    assert ends[-1] == 3
+    alone, end = along_path(corner[:1], 2)
+    np.testing.assert_array_equal(alone, corner[[0, 0]])
+    assert end.tolist() == [0, 0]
