@@ -23,7 +23,9 @@ from gensp.pictures.montage import Tile, grid
 from gensp.pictures.rasterize import rasterize
 from gensp.pictures.render import Scene, look
 from gensp.pictures.sheets import (
+    LARGE,
     Way,
+    columns_for,
     contact_sheet,
     distortion_colours,
     flow_tiles,
@@ -195,6 +197,16 @@ def test_large_collections_fit_a_sheet_of_bounded_width():
     tiles = [Tile(np.full((300, 300, 3), 90, dtype=np.uint8), str(k)) for k in range(700)]
     sheet = contact_sheet(tiles, tiles[0].image, "many")
     assert 3000 < sheet.width <= 4000
+
+
+def test_captions_of_many_shapes_are_large():
+    assert [columns_for(count) for count in (1, 3, 31, 41, 89, 700)] == [1, 2, 7, 8, 10, 25]
+    tiles = [Tile(np.full((200, 200, 3), 255, dtype=np.uint8), "name") for _ in range(2)]
+    heights = []
+    for lines in (26, LARGE):
+        ink = (np.asarray(grid(tiles, 2, lines=lines)) < 200).any(axis=(1, 2))
+        heights.append(ink.sum())
+    assert heights[1] > heights[0]
 
 
 def test_strips_begin_and_end_where_they_should():

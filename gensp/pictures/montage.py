@@ -43,11 +43,16 @@ def resized(tile: Tile, side: int) -> Tile:
     return replace(tile, image=np.asarray(picture))
 
 
-def grid(tiles: Sequence[Tile], columns: int, *, title: str = "", note: str = "") -> Image.Image:
-    """Tiles in rows of `columns`, captions below each, a title above all."""
+def grid(
+    tiles: Sequence[Tile], columns: int, *, title: str = "", note: str = "", lines: int = 26
+) -> Image.Image:
+    """Tiles in rows of `columns`, captions below each, a title above all.
+
+    `lines` of a caption are as high as a tile.
+    """
     height, width = tiles[0].image.shape[:2]
-    text = max(11, round(width / 26))
-    captions = round(text * (3.4 if any(tile.note for tile in tiles) else 2.0))
+    text, small = (max(11, round(width / count)) for count in (26, lines))
+    captions = round(small * (3.4 if any(tile.note for tile in tiles) else 2.0))
     if not any(tile.caption or tile.note for tile in tiles):
         captions = 0
     head = round(text * 4.2) if title else 0
@@ -61,7 +66,7 @@ def grid(tiles: Sequence[Tile], columns: int, *, title: str = "", note: str = ""
         row, column = divmod(index, columns)
         corner = (column * width, head + row * (height + captions))
         sheet.paste(Image.fromarray(tile.image), corner)
-        _caption(pen, tile, (corner[0] + width // 2, corner[1] + height), text, width)
+        _caption(pen, tile, (corner[0] + width // 2, corner[1] + height), small, width)
     return sheet
 
 

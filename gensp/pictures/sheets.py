@@ -25,6 +25,8 @@ CLAY = np.array([0.78, 0.76, 0.74])
 FOLDED = np.array([0.05, 0.15, 0.75])
 SIGMA_RANGE = (1.0, 8.0)
 SHEET_WIDTH = 4000
+MANY = 10  # columns: sheets that have so many are shown smaller than they are
+LARGE = 17  # lines of a caption to a tile of these
 DISTORTION_COLOURS = "YlOrRd"
 
 
@@ -98,8 +100,9 @@ def textured_sphere(view: View, size: int) -> UInt8[np.ndarray, "size size 3"]:
 
 
 def columns_for(count: int) -> int:
-    """Columns of a sheet that is a little wider than high."""
-    return max(1, min(count, round(np.sqrt(1.5 * count))))
+    """Columns of a sheet that is a little wider than high, or higher where there are many."""
+    wide, high = (round(np.sqrt(share * count)) for share in (1.5, 0.9))
+    return max(1, min(count, wide, max(MANY, high)))
 
 
 def contact_sheet(
@@ -115,7 +118,9 @@ def _sheet(tiles: Sequence[Tile], title: str, note: str) -> Image.Image:
     """All tiles in a sheet, made smaller where there are many of them."""
     columns = columns_for(len(tiles))
     side = min(len(tiles[0].image), SHEET_WIDTH // columns)
-    return grid([resized(tile, side) for tile in tiles], columns, title=title, note=note)
+    smaller = [resized(tile, side) for tile in tiles]
+    lines = LARGE if columns >= MANY else 26
+    return grid(smaller, columns, title=title, note=note, lines=lines)
 
 
 def distortion_sheet(tiles: Sequence[Tile], title: str) -> Image.Image:
