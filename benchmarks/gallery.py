@@ -136,7 +136,7 @@ def save(picture: Image.Image, path: Path) -> None:
     """As JPEG, no wider than a page needs."""
     picture.thumbnail((WIDTH, 10 * WIDTH))
     with atomic_path(path) as temporary:
-        picture.save(temporary, format="JPEG", quality=85)
+        picture.save(temporary, format="JPEG", quality=80)
     sys.stdout.write(f"{path}\n")
 
 
