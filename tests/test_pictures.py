@@ -33,6 +33,7 @@ from gensp.pictures.sheets import (
     morph_tiles,
     textured_sphere,
 )
+from gensp.pictures.strips import side_by_side
 from gensp.pictures.texture import LINE_COLOUR, cube_map, hue_field, sphere_texture, to_bytes
 from gensp.pictures.worst import worst_shapes
 
@@ -207,6 +208,12 @@ def test_captions_of_many_shapes_are_large():
         ink = (np.asarray(grid(tiles, 2, lines=lines)) < 200).any(axis=(1, 2))
         heights.append(ink.sum())
     assert heights[1] > heights[0]
+
+
+def test_many_strips_stand_two_beside_each_other():
+    rows = [[Tile(np.zeros((2, 2, 3), dtype=np.uint8), f"{k}")] for k in range(5)]
+    found = [[tile.caption for tile in row] for row in side_by_side(rows)]
+    assert found == [["0", "3"], ["1", "4"], ["2"]]
 
 
 def test_strips_begin_and_end_where_they_should():

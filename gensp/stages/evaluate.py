@@ -1,6 +1,6 @@
 """Evaluation: distortion, consistency and coverage of the maps, the table and the pictures."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
@@ -152,28 +152,26 @@ class EvaluateStage(ItemStage):
             return Generated()
         generator, frames = self._networks["generator"].eval(), options.frames
         atlas = self._networks.get("atlas")
-        chosen = options.chosen(self.collection.splits(ids))
-        codes = {id: code for id in ids if (code := self._code(id)) is not None}
+        straight_on = self._codes(options.chosen(self.collection.splits(ids)))
+        along = self._codes(evenly(ids, options.tree_strips))
         return Generated(
-            {id: straight(generator, codes[id], frames) for id in chosen if id in codes},
-            self._ways(generator, codes, evenly(list(codes), options.tree_strips), frames),
+            {id: straight(generator, code, frames) for id, code in straight_on.items()},
+            dict(self._ways(generator, along, frames)),
             atlas.place if isinstance(atlas, Atlas) else unmoved,
         )
 
     def _ways(
-        self,
-        generator: Network,
-        codes: Mapping[str, np.ndarray],
-        chosen: Sequence[str],
-        frames: int,
-    ) -> dict[str, Way]:
-        if "correspond" not in self.runs:
-            return {}
-        tree = LatentTree.read(self.runs["correspond"], self.runs["finetune"])
-        return {id: tree.way(generator, id, codes[id], frames) for id in chosen}
+        self, generator: Network, codes: Mapping[str, np.ndarray], frames: int
+    ) -> Iterator[tuple[str, Way]]:
+        if "correspond" in self.runs:
+            tree = LatentTree.read(self.runs["correspond"], self.runs["finetune"])
+            for id, code in codes.items():
+                yield id, tree.way(generator, id, code, frames)
 
-    def _code(self, id: str) -> np.ndarray | None:
-        return prediction(self.runs["parameterize"], id).get("code")
+    def _codes(self, ids: Sequence[str]) -> dict[str, np.ndarray]:
+        """Codes of those that have one."""
+        found = {id: prediction(self.runs["parameterize"], id).get("code") for id in ids}
+        return {id: code for id, code in found.items() if code is not None}
 
 
 def _with_errors(rows: list[Record], pairs: list[Record]) -> list[Record]:
