@@ -9,6 +9,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from gensp.errors import DegenerateMesh, MissingStage, Unsupported
+from gensp.geometry.certificate import require_bijective
 from gensp.geometry.mesh import FORMATS, Mesh, require_genus_zero
 from gensp.geometry.spherical_map import SphericalMap
 from gensp.methods import SphericalParameterization
@@ -36,16 +37,23 @@ def parameterize(
     Returns
     -------
     Float[np.ndarray, "n 3"]
-        The map without bad faces; `gensp.spherical_map` gives it with all that belongs to it.
+        The bijective map, certified with degree 1; `gensp.spherical_map` gives it with all that
+        belongs to it.
 
     Raises
     ------
     BadMesh
         Not a closed, oriented, connected genus-0 mesh.
+    NotEmbeddable
+        The map has folds, as those of methods that repair none (arap, vc25, cmcf_raw) may have, or
+        it mirrors. `gensp.spherical_map` hands them out.
     Unsupported
         No method has this name.
     """
-    return spherical_map(vertices, faces, method=method).sphere
+    map = spherical_map(vertices, faces, method=method)
+    remedy = f"use method='{DEFAULT}', or look at the map with gensp.spherical_map"
+    require_bijective(map.mesh, map.sphere, remedy=remedy)
+    return map.sphere
 
 
 def spherical_map(
@@ -57,7 +65,9 @@ def spherical_map(
 ) -> SphericalMap:
     """The same as a `SphericalMap`: certificate, distortion, point location, remeshes.
 
-    Parameters and errors are those of `parameterize`; `name` stands in messages and file names.
+    Parameters are those of `parameterize`; `name` stands in messages and file names. The map is
+    handed out as the method leaves it: those of arap, vc25 and cmcf_raw may have folds, and
+    `SphericalMap.certify` tells. All others raise `NotEmbeddable` rather than give a fold.
     """
     mesh = as_mesh(vertices, faces, name)
     require_genus_zero(mesh)

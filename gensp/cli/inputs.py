@@ -2,17 +2,14 @@
 
 import os
 import shlex
-from collections.abc import Mapping
 from pathlib import Path
-
-import numpy as np
 
 from gensp.cli.terminal import compile_announced, progress
 from gensp.errors import DamagedFile, NotGenusZero, OutputError, UnreadableMesh, Unsupported
 from gensp.files import load_npz
 from gensp.geometry.diagnosis import diagnose, repair_command
 from gensp.geometry.mesh import FORMATS, Mesh, load_mesh
-from gensp.geometry.spherical_map import SphericalMap
+from gensp.geometry.spherical_map import SphericalMap, map_fault, map_from
 from gensp.methods import SphericalParameterization
 
 
@@ -112,38 +109,10 @@ def read_map(path: Path) -> SphericalMap:
             f"{path}: cannot be read ({type(error).__name__}); an npz with vertices, faces and "
             "sphere is required; write it with gensp parameterize"
         ) from error
-    fault = _fault(arrays)
+    fault = map_fault(arrays)
     if fault:
-        raise UnreadableMesh(
-            f"{path}: {fault}; vertices (n, 3), faces (m, 3) and unit vectors sphere (n, 3) are "
-            "required; write it with gensp parameterize"
-        )
-    sphere, surface = (np.array(arrays[name], np.float64) for name in ("sphere", "vertices"))
-    faces = np.array(arrays["faces"], np.int64)
-    return SphericalMap(sphere, surface, faces, path.stem, arrays=arrays)
-
-
-def _fault(arrays: Mapping[str, np.ndarray]) -> str:
-    missing = {"vertices", "faces", "sphere"} - arrays.keys()
-    if missing:
-        return f"has no {', '.join(sorted(missing))}"
-    surface, sphere, faces = (arrays[name] for name in ("vertices", "sphere", "faces"))
-    flat = any(x.ndim != 2 or x.shape[1] != 3 or len(x) == 0 for x in (surface, sphere, faces))
-    if flat or len(surface) != len(sphere):
-        return f"arrays of the shapes {surface.shape}, {sphere.shape} and {faces.shape}"
-    if faces.dtype.kind not in "iu" or {surface.dtype.kind, sphere.dtype.kind} != {"f"}:
-        return f"arrays of {surface.dtype}, {sphere.dtype} and {faces.dtype}"
-    if faces.min() < 0 or faces.max() >= len(sphere):
-        return f"faces that name vertices outside the {len(sphere)}"
-    if not np.isfinite(surface).all():
-        return "vertices that are not numbers"
-    length = np.linalg.norm(sphere, axis=1)
-    if not np.isfinite(length).all() or np.abs(length - 1).max() > 1e-6:
-        return "sphere positions that are not unit vectors"
-    known = arrays.get("reliability", np.ones(len(sphere)))
-    if known.shape != (len(sphere),) or not ((known >= 0) & (known <= 1)).all():
-        return f"a reliability {known.shape} that is not a number in [0, 1] for every vertex"
-    return ""
+        raise UnreadableMesh(f"{path}: {fault}; write it with gensp parameterize")
+    return map_from(arrays, path.stem, kept=arrays)
 
 
 def chosen_method(

@@ -9,7 +9,8 @@ Out = Annotated[Path, typer.Option(help="Folder for the files.")]
 Method = Annotated[
     str | None,
     typer.Option(
-        help="Method for a mesh: dirichlet (default), stretch, ahsp, smat, cmcf. None is trained."
+        help="Method for a mesh: dirichlet (default), stretch, ahsp, smat, cmcf, all without "
+        "folds; arap, vc25, cmcf_raw may fold. None is trained."
     ),
 ]
 Model = Annotated[

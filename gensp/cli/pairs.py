@@ -46,10 +46,11 @@ def pair_of(
     made = chosen_method(method, model, register) if meshes else None
     first, second = map_of(a, made), map_of(b, made)
     for path, map in ((a, first), (b, second)):
-        if not map.certify():
-            raise NotGenusZero(
-                f"{path}: {map.certify()}; a bijective map is required; make it again with "
-                "gensp parameterize"
+        found = map.certify()
+        if not found:
+            remedy = (
+                "make it again with gensp parameterize" if is_map(path) else "leave out --method"
             )
+            raise NotGenusZero(f"{path}: {found}; a bijective map is required; {remedy}")
     wanted = meshes and model is None if align is None else align
     return Pair(first, second, aligning_rotation(first, second) if wanted else np.eye(3))

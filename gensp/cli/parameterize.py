@@ -36,7 +36,8 @@ def parameterize(
     """Map a mesh to the unit sphere, without folds, with a certificate.
 
     Writes <stem>.npz (vertices, faces, sphere), <stem>.ply (the same, with
-    doubles px py pz) and <stem>_sphere.obj.
+    doubles px py pz) and <stem>_sphere.obj. Where a method that may fold has
+    folded, only these are written, and the exit code is 2.
     """
     from gensp.cli.inputs import chosen_method, require_folder, require_other, sound_mesh
     from gensp.cli.terminal import compile_announced, progress, two_columns, written
@@ -51,10 +52,17 @@ def parameterize(
         map = found(surface)
     seconds = time.perf_counter() - began
     paths = _write_map(map, out)
-    paths += _write_texture(map, out) if texture else []
-    paths += [] if icosphere is None else _write_remesh(map, out, icosphere)
-    paths += [] if geometry_image is None else _write_image(map, out, geometry_image)
+    if map.certify():
+        paths += _write_derived(map, out, texture, icosphere, geometry_image)
     two_columns(map.name, [*_figures(map, seconds), written(paths)])
+    _require_bijective(map)
+
+
+def _require_bijective(map: "SphericalMap") -> None:
+    from gensp.geometry.certificate import require_bijective
+    from gensp.methods.table import DEFAULT
+
+    require_bijective(map.mesh, map.sphere, remedy=f"use --method {DEFAULT}")
 
 
 def _figures(map: "SphericalMap", seconds: float) -> list[tuple[str, str]]:
@@ -62,12 +70,21 @@ def _figures(map: "SphericalMap", seconds: float) -> list[tuple[str, str]]:
     return [
         ("vertices, faces", f"{len(map.sphere)}, {len(map.faces)}"),
         ("certificate", str(found)),
+        *_rung(map),
         ("isometric σ", f"mean {measured.mean:.3f}, max {measured.max:.3f}"),
         ("isometric σ by area", f"mean {measured.area_weighted_mean:.3f}"),
         ("conformal σ", f"mean {measured.conformal_mean:.3f}, max {measured.conformal_max:.3f}"),
         *_novelty(map),
         ("seconds", f"{seconds:.2f}"),
     ]
+
+
+def _rung(map: "SphericalMap") -> list[tuple[str, str]]:
+    """From which rung of the ladder the map was refined, where its method has one."""
+    from gensp.methods.refinement import RUNGS
+
+    rung = map.diagnostics.get("rung")
+    return [("rung", f"{rung}: {RUNGS[rung]}")] if rung in RUNGS else []
 
 
 def _novelty(map: "SphericalMap") -> list[tuple[str, str]]:
@@ -88,6 +105,15 @@ def _write_map(map: "SphericalMap", out: Path) -> list[Path]:
     sphere = out / f"{map.name}_sphere.obj"
     write_obj(sphere, map.sphere, map.faces)
     return [out / f"{map.name}.npz", out / f"{map.name}.ply", sphere]
+
+
+def _write_derived(
+    map: "SphericalMap", out: Path, texture: bool, icosphere: int | None, image: int | None
+) -> list[Path]:
+    """What only a bijective map can give, as far as it is asked for."""
+    paths = _write_texture(map, out) if texture else []
+    paths += [] if icosphere is None else _write_remesh(map, out, icosphere)
+    return paths + ([] if image is None else _write_image(map, out, image))
 
 
 def _write_texture(map: "SphericalMap", out: Path) -> list[Path]:

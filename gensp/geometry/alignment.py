@@ -50,7 +50,11 @@ def moebius_center(
         if size <= tolerance:
             return u
         spread = np.eye(3) - (weights[:, None] * directions).T @ directions
-        u = _shorter_until_better(u, faces, weights, -np.linalg.solve(2 * spread, centre), size)
+        try:
+            step = -np.linalg.solve(2 * spread, centre)
+        except np.linalg.LinAlgError:
+            break  # all of the surface sits in one direction, or in it and its opposite
+        u = _shorter_until_better(u, faces, weights, step, size)
     raise NotEmbeddable(
         f"Möbius centring left the centre of area at {size:.2g}; {tolerance:g} is required; the "
         "map crowds half of the surface into one point: refine it first, or use another method"

@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from gensp.errors import BadMesh
 from gensp.geometry.mesh import MAX_FACES, Mesh, require_genus_zero, signed_volume
+from gensp.geometry.topology import edge_counts, half_edges, known_faces
 
 _SINGULAR = {"vertices": "vertex", "edges": "edge", "faces": "face", "holes": "hole"}
 REPAIR, REMESH = "gensp repair", "gensp repair --remesh"
@@ -103,7 +104,7 @@ class Diagnosis:
 
 def diagnose(mesh: Mesh, *, max_faces: int = MAX_FACES) -> Diagnosis:
     """Count what is wrong with a mesh; never raises for what it finds."""
-    known = (mesh.faces >= 0).all(axis=1) & (mesh.faces < len(mesh.vertices)).all(axis=1)
+    known = known_faces(mesh.faces, len(mesh.vertices))
     finite = np.isfinite(mesh.vertices).all(axis=1)
     sound = np.where(finite[:, None], mesh.vertices, 0.0)
     part = Mesh(sound, mesh.faces[known], mesh.name)
@@ -161,7 +162,7 @@ def _counts(mesh: Mesh) -> dict[str, Any]:
     }
     if len(faces) == 0:
         return found
-    edges = _edge_counts(faces)
+    edges = edge_counts(faces)
     loops = _loops(faces)
     fans = int((~np.asarray(igl.is_vertex_manifold(faces)))[np.unique(faces)].sum())
     found |= {**edges, "holes": loops, "nonmanifold_vertices": fans}
@@ -179,24 +180,6 @@ def degenerate_faces(mesh: Mesh, smallest: float = 1e-15) -> Bool[np.ndarray, " 
     """Faces with a repeated corner, or with less than `smallest` of the total area."""
     repeated = (np.diff(np.sort(mesh.faces, axis=1), axis=1) == 0).any(axis=1)
     return repeated | (mesh.face_areas <= smallest * max(mesh.area, np.finfo(float).tiny))
-
-
-def half_edges(faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "h 2"]:
-    """Start and end of the three sides of every face, one face after the other."""
-    return faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-
-
-def _edge_counts(faces: Int[np.ndarray, "m 3"]) -> dict[str, int]:
-    sides = half_edges(faces)
-    n = int(faces.max()) + 1
-    undirected = sides.min(axis=1) * n + sides.max(axis=1)
-    _, edge, count = np.unique(undirected, return_inverse=True, return_counts=True)
-    forward = np.bincount(edge.reshape(-1), weights=sides[:, 0] < sides[:, 1])
-    return {
-        "boundary_edges": int((count == 1).sum()),
-        "nonmanifold_edges": int((count > 2).sum()),
-        "misoriented_edges": int(((count == 2) & (forward != 1)).sum()),
-    }
 
 
 def boundary_half_edges(faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "b 2"]:

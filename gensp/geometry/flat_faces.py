@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Int
 
-from gensp.geometry.diagnosis import degenerate_faces, half_edges
+from gensp.geometry.diagnosis import degenerate_faces
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.submesh import kept, tidy
+from gensp.geometry.topology import half_edges
 
 _ROUNDS = 20
 _FLAT = 1e-14  # of the total area; the check refuses 1e-15

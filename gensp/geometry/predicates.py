@@ -7,6 +7,9 @@ from jaxtyping import Bool, Float, Int
 
 from gensp.errors import NotEmbeddable
 
+# Of the determinant of three unit vectors in floating point: sure to be more than its error.
+_DOUBT = 1e-12
+
 
 def spherical_orientation(
     sphere: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
@@ -15,9 +18,15 @@ def spherical_orientation(
 
     Uses the adaptive orient3d predicate against the centre; there is no tolerance.
     """
-    corners = [np.ascontiguousarray(sphere[faces[:, k]]) for k in range(3)]
-    centre = np.zeros((1, 3))
-    sign = igl.predicates.orient3d(*corners, np.repeat(centre, len(faces), axis=0))
+    return _signs(*(sphere[faces[:, k]] for k in range(3)))
+
+
+def _signs(
+    a: Float[np.ndarray, "k 3"], b: Float[np.ndarray, "k 3"], c: Float[np.ndarray, "k 3"]
+) -> Int[np.ndarray, " k"]:
+    """Exact signs of det(a, b, c)."""
+    rows = [np.ascontiguousarray(x) for x in (a, b, c)]
+    sign = igl.predicates.orient3d(*rows, np.zeros((len(a), 3)))
     return np.sign(np.asarray(sign).reshape(-1)).astype(np.int64)
 
 
@@ -41,7 +50,19 @@ def spherical_areas(
 
 
 def map_degree(sphere: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> int:
-    """How often the map winds around the sphere: signed area over 4π, an integer.
+    """How often the map of a closed surface winds around the sphere; exact, folded or not.
+
+    Raises
+    ------
+    NotEmbeddable
+        Positions that are not finite or not unit vectors.
+    """
+    require_unit(sphere)
+    return signed_preimages(sphere, faces, spherical_orientation(sphere, faces))
+
+
+def require_unit(sphere: Float[np.ndarray, "n 3"]) -> None:
+    """Refuse positions that no sphere has.
 
     Raises
     ------
@@ -49,6 +70,43 @@ def map_degree(sphere: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) 
         Positions that are not finite or not unit vectors.
     """
     length = np.linalg.norm(sphere, axis=1)
-    if not np.isfinite(length).all() or np.abs(length - 1).max() > 1e-6:
+    if not np.isfinite(length).all() or (np.abs(length - 1) > 1e-6).any():
         raise NotEmbeddable("sphere positions must be finite unit vectors to have a degree")
-    return int(np.rint(spherical_areas(sphere, faces).sum() / (4 * np.pi)))
+
+
+def signed_preimages(
+    sphere: Float[np.ndarray, "n 3"],
+    faces: Int[np.ndarray, "m 3"],
+    orientation: Int[np.ndarray, " m"],
+) -> int:
+    """Faces that hold one generic direction, counted by their exact orientation: the degree.
+
+    Of a closed surface the count is the same for every direction that lies on no edge's great
+    circle; such a one is drawn.
+    """
+    rng = np.random.default_rng(0)
+    while True:
+        holding = _holding(rng.standard_normal(3), sphere, faces, orientation)
+        if holding is not None:
+            return int(orientation[holding].sum())
+
+
+def _holding(
+    direction: Float[np.ndarray, " 3"],
+    sphere: Float[np.ndarray, "n 3"],
+    faces: Int[np.ndarray, "m 3"],
+    orientation: Int[np.ndarray, " m"],
+) -> Int[np.ndarray, " k"] | None:
+    """Faces whose spherical triangle has the direction inside, None if it is on a border."""
+    p = direction / np.linalg.norm(direction)
+    normals = np.cross(p, sphere)
+    left = np.flatnonzero(orientation)
+    for k in range(3):
+        a, b = faces[left, k], faces[left, (k + 1) % 3]
+        side = orientation[left] * np.einsum("ij,ij->i", normals[a], sphere[b])
+        left = left[side > -_DOUBT]
+    corners = sphere[faces[left]]
+    ps = np.repeat(p[None], len(left), axis=0)
+    sides = [_signs(ps, corners[:, k], corners[:, (k + 1) % 3]) for k in range(3)]
+    inside = (np.stack(sides) * orientation[left]).min(axis=0)
+    return None if (inside == 0).any() else left[inside > 0]

@@ -12,11 +12,12 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from gensp.errors import DegenerateMesh, Unsupported
-from gensp.geometry.diagnosis import Diagnosis, half_edges
+from gensp.geometry.diagnosis import Diagnosis
 from gensp.geometry.flat_faces import without_flat
 from gensp.geometry.holes import fill_holes
 from gensp.geometry.mesh import Mesh, signed_volume
 from gensp.geometry.submesh import kept, tidy
+from gensp.geometry.topology import half_edges
 
 
 @dataclass(frozen=True)

@@ -159,13 +159,9 @@ class GenSP:
         )
         predicted = _timed(seconds, "place", lambda: self.place(found.sphere))
         trust = reliability(predicted, shape.faces, found.distance)
-        refined = _timed(
-            seconds, "refine", lambda: self.refine(shape, predicted, predicted, trust)
-        )
+        refined = _timed(seconds, "refine", lambda: self.refine(mesh, predicted, predicted, trust))
         return replace(
             refined,
-            surface=mesh.vertices,
-            name=mesh.name,
             diagnostics={
                 **refined.diagnostics,
                 **seconds,

@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -19,7 +20,7 @@ from gensp.geometry.smat_energy import SmatEnergy
 from gensp.geometry.sphere import icosphere
 from gensp.geometry.spherical_energy import triangle_weights
 from gensp.geometry.spherical_map import SphericalMap
-from gensp.methods.refinement import HIERARCHICAL, finished
+from gensp.methods.refinement import HIERARCHICAL, certified
 
 Newton = Callable[[Mesh, Float[np.ndarray, "n 3"]], Refined]
 
@@ -124,24 +125,35 @@ class Hierarchical:
         Raises
         ------
         NotEmbeddable
-            The mesh has no map in double precision.
+            The mesh has no map in double precision; the message names the place.
         """
         began = time.perf_counter()
         shape = normalize(mesh)
         u = embed(shape, schedule=self.schedule, polish=self._coarse if self.coarse else None)
         embedded = time.perf_counter()
-        refined = Refined(u, np.nan, 0, True) if self.fine is None else self.fine(shape, u)
-        u = refined.sphere @ normal_rotation(refined.sphere, shape).T
+        u, counted = self._refined(shape, u)
+        u = u @ normal_rotation(u, shape).T
         ended = time.perf_counter()
         numbers = {
             "rung": HIERARCHICAL,
-            "iterations": refined.iterations,
-            "converged": refined.converged,
+            **counted,
             "seconds_embed": embedded - began,
             "seconds_refine": ended - embedded,
             "seconds": ended - began,
         }
-        return finished(mesh, u, numbers)
+        return certified(mesh, u, numbers)
+
+    def _refined(
+        self, mesh: Mesh, u: Float[np.ndarray, "n 3"]
+    ) -> tuple[Float[np.ndarray, "n 3"], dict[str, Any]]:
+        """The map after the last Newton iteration, and how that ended; as it is without one."""
+        if self.fine is None:
+            return u, {}
+        refined = self.fine(mesh, u)
+        return refined.sphere, {
+            "iterations": refined.iterations,
+            "converged": refined.converged,
+        }
 
     def _coarse(
         self, mesh: Mesh, u: Float[np.ndarray, "n 3"], vertices: Int[np.ndarray, " n"]

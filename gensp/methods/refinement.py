@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gensp.errors import NotEmbeddable
+from gensp.geometry.certificate import place_of, require_bijective
 from gensp.geometry.embedding import embed
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.newton import Refined, refine_map
@@ -18,6 +19,13 @@ from gensp.geometry.spherical_energy import triangle_weights
 from gensp.geometry.spherical_map import SphericalMap
 
 PREDICTION, SPREAD, UNTANGLED, HIERARCHICAL = "prediction", "spread", "untangled", "hierarchical"
+# What became of the start, from the first rung of the ladder to the last.
+RUNGS = {
+    PREDICTION: "the start as it came",
+    SPREAD: "its crowded faces spread",
+    UNTANGLED: "its folds untangled",
+    HIERARCHICAL: "embedded anew from a tetrahedron",
+}
 
 
 @dataclass(frozen=True)
@@ -76,22 +84,22 @@ class NewtonRefinement:
         target: Float[np.ndarray, "n 3"] | None = None,
         trust: Float[np.ndarray, " n"] | None = None,
     ) -> SphericalMap:
-        """The refined map of a mesh in its own coordinates; it has no bad face.
+        """The refined map of a mesh in its own coordinates, certified with degree 1.
 
         `trust` (n,) in [0, 1] tells how far the target holds at every vertex.
 
         Raises
         ------
         NotEmbeddable
-            The start could not be made free of folds.
+            The start could not be made free of folds, or the end is not certified.
         """
         began = time.perf_counter()
         shape, u = normalize(mesh), unit(start)
         bad = int(bad_faces(u, mesh.faces).sum())
         pull = 0.0 if target is None else self._pull(shape, target, trust)
-        found, rung = self._start(shape, u, target, pull, folded=bad > 0)
+        found, rung = self._start(mesh, u, target, pull, folded=bad > 0)
         refined = self._minimised(shape, found.sphere, target, pull)
-        return finished(
+        return certified(
             mesh,
             refined.sphere,
             {
@@ -133,15 +141,16 @@ class NewtonRefinement:
             untangled = untangle(
                 u, mesh.faces, areas=areas, crowding=self.crowding, first_ring=ring
             )
-            if untangled.clean and abs(map_degree(untangled.sphere, mesh.faces)) == 1:
+            if untangled.clean and map_degree(untangled.sphere, mesh.faces) == 1:
                 return untangled
-        left = int(bad_faces(untangled.sphere, mesh.faces).sum())
-        degree = map_degree(u, mesh.faces)
+        bad = bad_faces(untangled.sphere, mesh.faces)
+        first = f"; first: {place_of(mesh, int(np.argmax(bad)))}" if bad.any() else ""
         raise NotEmbeddable(
-            f"{mesh.name}: {left} of {len(mesh.faces)} faces stay folded after "
-            f"{untangled.rounds} rounds of untangling (degree of the start: {degree}); a map "
-            "without folds is required; try fit=register or a longer training for a closer start, "
-            "or keep the folded map with refine=none"
+            f"{mesh.name}: {int(bad.sum())} of {len(mesh.faces)} faces stay folded after "
+            f"{untangled.rounds} rounds of untangling (degree of the start: "
+            f"{map_degree(u, mesh.faces)}{first}); a map without folds, of degree 1, is required; "
+            "try fit=register or a longer training for a closer start, or keep the folded map "
+            "with refine=none"
         )
 
     def _minimised(
@@ -168,8 +177,9 @@ class CertifiedRefinement(NewtonRefinement):
     """A map without folds from any start, pulled to the target as far as it can be trusted.
 
     The ladder: the start if it has no folds, the untangled start if few faces are folded, else
-    the hierarchical embedding guided by the target. So it works where the prediction is folded,
-    incomplete, or off by a limb's width, and what is handed out is always certified.
+    the hierarchical embedding guided by the target, also where the start mirrors. So it works
+    where the prediction is folded, incomplete, or off by a limb's width, and what is handed out is
+    always certified.
 
     The last energy is that of `hierarchical.dirichlet`, which is what is reported. A limb is small
     on the sphere, so that a step there is a long way on the surface: γ grows with the root of how
@@ -210,7 +220,7 @@ class CertifiedRefinement(NewtonRefinement):
                 return super()._start(mesh, u, target, pull, folded=folded)
             except NotEmbeddable:
                 pass  # the next rung needs no start
-        grown = embed(mesh, target=target, pull=pull)
+        grown = embed(normalize(mesh), target=target, pull=pull)
         return Untangled(grown, 0, True), HIERARCHICAL
 
 
@@ -222,4 +232,19 @@ def finished(
         "bad_faces": int(bad_faces(sphere, mesh.faces).sum()),
         "degree": map_degree(sphere, mesh.faces),
     }
+    return SphericalMap(sphere, mesh.vertices, mesh.faces, mesh.name, {**diagnostics, **found})
+
+
+def certified(
+    mesh: Mesh, sphere: Float[np.ndarray, "n 3"], diagnostics: dict[str, Any]
+) -> SphericalMap:
+    """As `finished`, of a method that promises a bijective map: nothing may move it any more.
+
+    Raises
+    ------
+    NotEmbeddable
+        The last operations left a fold, which is told with its place.
+    """
+    require_bijective(mesh, sphere, remedy="remesh the surface there")
+    found = {"bad_faces": 0, "degree": 1}
     return SphericalMap(sphere, mesh.vertices, mesh.faces, mesh.name, {**diagnostics, **found})
