@@ -1,7 +1,13 @@
+import re
+
+import hydra
 import numpy as np
 import pytest
 
+from gensp.errors import NotEmbeddable, Unsupported
+from gensp.geometry.certificate import place_of
 from gensp.geometry.mesh import Mesh, normalize
+from gensp.geometry.newton import Refined
 from gensp.geometry.refine import reliability, shrinking
 from gensp.geometry.sphere import icosphere, unit
 from gensp.geometry.spherical_map import load_map, save_map
@@ -13,7 +19,7 @@ from gensp.methods.refinement import (
     CertifiedRefinement,
     NewtonRefinement,
 )
-from gensp.methods.table import PER_SHAPE, per_shape
+from gensp.methods.table import PER_SHAPE, RAW, per_shape
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +40,7 @@ def mapped(legged):
 @pytest.mark.parametrize("name", sorted(PER_SHAPE))
 def test_every_method_of_the_table_maps_a_shape_with_legs(name, legged):
     map = per_shape(name)(legged)
-    assert map.certify()
+    assert map.certify() or name in RAW
     np.testing.assert_array_equal(map.surface, legged.vertices)
     np.testing.assert_allclose(np.linalg.norm(map.sphere, axis=1), 1, atol=1e-12)
     assert map.diagnostics["seconds"] > 0
@@ -80,6 +86,60 @@ def test_hopeless_prediction_is_embedded_anew(legged, rng):
     found = CertifiedRefinement()(legged, noise, noise, trust)
     assert found.diagnostics["rung"] == HIERARCHICAL
     assert found.certify()
+
+
+def test_a_mirrored_start_is_embedded_anew(legged, mapped):
+    """It has no fold, but degree -1: no rung that moves it can turn it round."""
+    mirrored = mapped.sphere * [1, 1, -1]
+    found = CertifiedRefinement()(legged, mirrored, mirrored)
+    assert found.diagnostics["rung"] == HIERARCHICAL
+    assert found.certify().degree == found.diagnostics["degree"] == 1
+    with pytest.raises(NotEmbeddable, match=r"0 of 5120 faces .* \(degree of the start: -1\)"):
+        NewtonRefinement(rings=(2,))(legged, mirrored)
+
+
+@pytest.mark.parametrize("make", [dirichlet, stretch])
+def test_nothing_moves_a_certified_map_unseen(make, legged, monkeypatch):
+    """What rounding could do in the last rotation or step, overdone."""
+    monkeypatch.setattr(
+        "gensp.methods.hierarchical.normal_rotation", lambda u, _: np.diag([1, 1, -1.0])
+    )
+    with pytest.raises(NotEmbeddable, match="legged: the map has degree -1"):
+        make()(legged)
+
+
+def test_nothing_folds_a_refined_map_unseen(legged, mapped, monkeypatch):
+    def folding(mesh, start, *_, **__):
+        u = start.copy()
+        u[700] = -u[700]
+        return Refined(u, 0.0, 1, True)
+
+    monkeypatch.setattr("gensp.methods.refinement.refine_map", folding)
+    with pytest.raises(NotEmbeddable) as caught:
+        CertifiedRefinement()(legged, mapped.sphere)
+    face = int(re.search(r"first: face (\d+) near", str(caught.value))[1])
+    assert 700 in legged.faces[face]
+    assert place_of(legged, face) in str(caught.value)
+
+
+def test_only_what_was_tested_is_said_to_have_converged(legged, mapped):
+    assert mapped.diagnostics["converged"] is True
+    assert not {"converged", "iterations"} & stretch()(legged).diagnostics.keys()
+
+
+@pytest.mark.parametrize("name", PER_SHAPE)
+def test_the_table_has_the_numbers_of_the_configuration(name):
+    """Also those of the flow in recipe.cmcf, and of refine=certify."""
+    words = [f"method={name}", "refine=certify", "recipe=paper"]
+    with hydra.initialize_config_module("conf", version_base="1.3"):
+        composed = hydra.compose("config", words)
+        configured = hydra.utils.instantiate(composed.method.object)()
+    assert configured == per_shape(name)
+
+
+def test_a_model_that_is_missing_is_asked_for():
+    with pytest.raises(Unsupported, match="a trained model is required; name it with --model"):
+        per_shape("gensp")
 
 
 def test_folded_prediction_is_followed_where_it_holds(legged, mapped, rng):

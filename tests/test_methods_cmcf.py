@@ -5,11 +5,12 @@ import pytest
 
 from gensp.errors import NotEmbeddable
 from gensp.geometry.alignment import centre_of_area
+from gensp.geometry.certificate import place_of
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.predicates import bad_faces
 from gensp.geometry.sphere import icosphere, tangent_frame, unit
 from gensp.methods.cmcf import CMCF
-from gensp.methods.refinement import NewtonRefinement, NoRefinement
+from gensp.methods.refinement import CertifiedRefinement, NewtonRefinement, NoRefinement
 
 
 def _folded(sphere, faces, rng, share=0.05):
@@ -123,6 +124,15 @@ def test_hopeless_start_is_an_error_in_one_line(bumpy):
     text = str(caught.value)
     assert "\n" not in text
     assert all(part in text for part in ("bumpy", "required", "refine=none"))
+    assert f"; first: {place_of(bumpy, 0)})" in text
+
+
+def test_a_flow_that_ends_in_one_point_is_embedded_anew(bumpy, monkeypatch):
+    """Nothing can be centred, nor untangled."""
+    monkeypatch.setattr("gensp.methods.cmcf.unit", lambda x: np.tile([0, 0, 1.0], (len(x), 1)))
+    map = CMCF(CertifiedRefinement())(bumpy)
+    assert map.diagnostics["rung"] == "hierarchical"
+    assert map.certify()
 
 
 def test_methods_travel_to_workers(bumpy):

@@ -13,12 +13,13 @@ from conftest import Refused, Run
 from PIL import Image
 
 import gensp as package
-from gensp.errors import BadMesh, Unsupported
+from gensp.errors import BadMesh, NotEmbeddable, Unsupported
 from gensp.export.textured import write_textured
-from gensp.geometry.certificate import certify
+from gensp.geometry.certificate import certify, place_of
 from gensp.geometry.mesh import Mesh, load_mesh, require_genus_zero, save_mesh
 from gensp.geometry.spherical_map import SphericalMap, load_map
 from gensp.geometry.wavefront import read_obj
+from gensp.methods.refinement import RUNGS
 from gensp.methods.table import PER_SHAPE
 from gensp.pictures.texture import equirectangular_picture
 
@@ -120,6 +121,63 @@ def test_a_mesh_is_not_overwritten_by_its_map(
     assert "would be overwritten by its map" in said
     assert "--out FOLDER" in said
     assert path.read_bytes() == before
+
+
+@pytest.fixture
+def limbed_file(limbed: Mesh, tmp_path: Path) -> Path:
+    """A shape on which the raw flow folds."""
+    from gensp.export.wavefront import write_obj
+
+    path = tmp_path / "limbed.obj"
+    write_obj(path, limbed.vertices, limbed.faces)
+    return path
+
+
+def test_a_folded_map_is_written_and_told(gensp: Run, limbed_file: Path, tmp_path: Path) -> None:
+    words = ("--method", "cmcf_raw", "--out", tmp_path / "out", "--texture", "--icosphere", 2)
+    code, said, line = gensp("parameterize", limbed_file, *words)
+    assert code == 2
+    map, mesh = load_map(tmp_path / "out" / "limbed.npz"), load_mesh(limbed_file)
+    faults = map.certify().faults
+    assert f"not bijective: {len(faults)} of {len(map.faces)} faces" in said
+    assert line == (
+        f"gensp: limbed: {len(faults)} of {len(map.faces)} faces are folded or without area on "
+        f"the sphere (first: {place_of(mesh, int(faults[0]))}); a bijective map of degree 1 is "
+        "required; use --method dirichlet\n"
+    )
+    written = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert written == ["limbed.npz", "limbed.ply", "limbed_sphere.obj"]
+
+
+def test_the_ladder_ends_in_a_bijective_map_of_the_flow(
+    gensp: Run, limbed_file: Path, tmp_path: Path
+) -> None:
+    code, said, _ = gensp("parameterize", limbed_file, "--method", "cmcf", "--out", tmp_path)
+    assert code == 0
+    rung = load_map(tmp_path / "limbed.npz").diagnostics["rung"]
+    assert f"{rung}: {RUNGS[rung]}" in said
+
+
+def test_a_folded_array_is_refused_and_its_map_handed_out(limbed: Mesh) -> None:
+    with pytest.raises(NotEmbeddable, match=r"first: face .*; use method='dirichlet', or look"):
+        package.parameterize(limbed.vertices, limbed.faces, method="cmcf_raw")
+    map = package.spherical_map(limbed.vertices, limbed.faces, method="cmcf_raw")
+    assert len(map.certify().faults) > 0
+
+
+@pytest.mark.parametrize("name", ["arap", "vc25"])
+def test_methods_that_may_fold_can_be_named(
+    gensp: Run, bumpy_file: Path, tmp_path: Path, name: str
+) -> None:
+    """This shape they do not fold."""
+    code, said, _ = gensp("parameterize", bumpy_file, "--method", name, "--out", tmp_path)
+    assert code == 0
+    assert "bijective: 1280 faces" in said
+
+
+def test_a_method_that_needs_a_model_says_so(refused: Refused, bumpy_file: Path) -> None:
+    line = refused("parameterize", bumpy_file, "--method", "gensp")
+    assert "a trained model is required; name it with --model" in line
 
 
 def test_arrays(bumpy: Mesh) -> None:

@@ -181,6 +181,13 @@ def _maps(folder: Path, map: SphericalMap) -> dict[str, Path]:
         "real": {"faces": map.faces * 1.0},
         "doubtful": {"reliability": np.full(len(map.sphere), 2.0)},
         "doubted": {"reliability": np.ones(3)},
+        "open": {"faces": map.faces[1:]},
+        "repeated": {"faces": np.concatenate([map.faces, map.faces[:1]])},
+        "islands": {
+            "faces": np.concatenate([map.faces, map.faces + len(map.sphere)]),
+            **{name: np.tile(arrays[name], (2, 1)) for name in ("vertices", "sphere")},
+        },
+        "spare": {name: np.resize(arrays[name], (643, 3)) for name in ("vertices", "sphere")},
     }
     for name, change in wrong.items():
         np.savez(folder / f"{name}.npz", **{**arrays, **change})

@@ -5,6 +5,7 @@ import pytest
 
 from gensp.errors import NotEmbeddable
 from gensp.geometry.predicates import (
+    _holding,
     bad_faces,
     map_degree,
     spherical_areas,
@@ -68,8 +69,8 @@ def test_solid_angles_sum_to_the_sphere():
     assert spherical_areas(octant, np.array([[0, 1, 2]]))[0] == pytest.approx(np.pi / 2)
 
 
-def test_double_cover_has_degree_two():
-    """z → z² winds twice around the axis."""
+def double_cover() -> tuple[np.ndarray, np.ndarray]:
+    """Positions and faces of z → z², which winds twice around the axis."""
     longitude, latitude = np.meshgrid(
         np.arange(48) * 2 * np.pi / 48, np.linspace(-1.4, 1.4, 20), indexing="ij"
     )
@@ -91,7 +92,31 @@ def test_double_cover_has_degree_two():
         np.stack([np.full(48, north), rim + 19, np.roll(rim, -1) + 19], axis=1),
     ]
     sphere = np.concatenate([ring, [[0, 0, -1.0], [0, 0, 1.0]]])
-    assert map_degree(sphere, np.concatenate([quads, *caps])) == 2
+    return sphere, np.concatenate([quads, *caps])
+
+
+def test_double_cover_has_degree_two():
+    assert map_degree(*double_cover()) == 2
+
+
+@pytest.mark.parametrize("moved", [0, 5, 60, 642])
+def test_counted_degree_is_the_signed_area_over_that_of_the_sphere(moved, rng):
+    """Folded or not: faces that hold one direction against Gauss's integral."""
+    ball = icosphere(3)
+    sphere = ball.vertices * rng.choice([-1, 1], 3)
+    sphere[:moved] = unit(sphere[:moved] + 0.5 * rng.standard_normal((moved, 3)))
+    area = spherical_areas(sphere, ball.faces).sum() / (4 * np.pi)
+    assert map_degree(sphere, ball.faces) == pytest.approx(area, abs=1e-9)
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_a_direction_on_a_border_is_not_counted(level):
+    """The axis is in the middle of an edge of the icosahedron, and a vertex one level finer."""
+    ball = icosphere(level)
+    outward = np.ones(len(ball.faces), dtype=np.int64)
+    assert _holding(np.array([0, 1.0, 0]), ball.vertices, ball.faces, outward) is None
+    inside = ball.vertices[ball.faces[11]].sum(axis=0)
+    assert _holding(inside, ball.vertices, ball.faces, outward).tolist() == [11]
 
 
 def test_degree_needs_unit_vectors():

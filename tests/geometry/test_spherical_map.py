@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -73,6 +75,11 @@ def test_files_keep_every_bit(tmp_path, squeezed):
     mesh = load_mesh(tmp_path / "squeezed.ply")
     np.testing.assert_array_equal(mesh.faces, squeezed.faces)
     np.testing.assert_array_equal(mesh.vertices, squeezed.surface)
+
+
+def test_the_file_keeps_the_rung(tmp_path, squeezed):
+    save_map(replace(squeezed, diagnostics={"rung": "untangled", "seconds": 1.0}), tmp_path)
+    assert load_map(tmp_path / "squeezed.npz").diagnostics == {"rung": "untangled"}
 
 
 def test_incomplete_file_is_named(tmp_path):
