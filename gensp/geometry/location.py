@@ -26,14 +26,25 @@ class SphereLocator:
         # Edge k of libigl joins corners k and k + 1.
         self._across = np.asarray(igl.triangle_triangle_adjacency(self.faces)[0], dtype=np.int64)
 
-    def locate(self, p: Float[np.ndarray, "k 3"]) -> SurfacePoints:
-        """Face and radial barycentric weights of every direction p (need not be unit)."""
+    def locate(
+        self, p: Float[np.ndarray, "k 3"], near: Int[np.ndarray, " k"] | None = None
+    ) -> SurfacePoints:
+        """Face and radial barycentric weights of every direction p (need not be unit).
+
+        Parameters
+        ----------
+        near
+            Faces that the walks begin at; without, those of the nearest chordal triangles.
+        """
         p = np.ascontiguousarray(p)
-        nearest = self._tree.squared_distance(self.sphere, self.faces, p)[1]
-        start = np.asarray(nearest, dtype=np.int64).reshape(-1)
+        start = self._nearest(p) if near is None else np.ascontiguousarray(near)
         face, weights = walk(p, start, self.sphere, self.faces, self._across, _MAX_STEPS)
         weights = np.clip(weights, 0, None)
         return SurfacePoints(face, weights / weights.sum(axis=1, keepdims=True))
+
+    def _nearest(self, p: Float[np.ndarray, "k 3"]) -> Int[np.ndarray, " k"]:
+        nearest = self._tree.squared_distance(self.sphere, self.faces, p)[1]
+        return np.asarray(nearest, dtype=np.int64).reshape(-1)
 
 
 def contains(weights: Float[np.ndarray, "k 3"], slack: float = 1e-9) -> Bool[np.ndarray, " k"]:

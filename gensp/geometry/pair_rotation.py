@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
@@ -58,8 +58,11 @@ class _OneWay:
         self.images, self.map = map_i.to_sphere(at_i), map_j
         self.true = at_j.on(map_j.surface, map_j.faces)
         self.scale = np.sqrt(map_j.mesh.area)
+        self.faces: Int[np.ndarray, " k"] | None = None
 
     def error(self, rotation: Float[np.ndarray, "3 3"]) -> float:
         """Mean over the points."""
-        implied = self.map.to_surface(self.images @ rotation.T)
+        at = self.map.locate(self.images @ rotation.T, self.faces)
+        self.faces = at.faces  # the next rotation is a near one
+        implied = at.on(self.map.surface, self.map.faces)
         return float(np.linalg.norm(implied - self.true, axis=1).mean() / self.scale)

@@ -58,9 +58,14 @@ class SphericalMap:
         """Image m(x) on the unit sphere of points of the surface."""
         return unit(points.on(self.sphere, self.faces))
 
-    def locate(self, p: Float[np.ndarray, "k 3"]) -> SurfacePoints:
-        """Preimage m⁻¹(p) of points of the sphere, as face and barycentric weights."""
-        return self._locator.locate(p)
+    def locate(
+        self, p: Float[np.ndarray, "k 3"], near: Int[np.ndarray, " k"] | None = None
+    ) -> SurfacePoints:
+        """Preimage m⁻¹(p) of points of the sphere, as face and barycentric weights.
+
+        Faces `near` the points, where they are known, save the search for them.
+        """
+        return self._locator.locate(p, near)
 
     def to_surface(self, p: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 3"]:
         """Preimage m⁻¹(p) as positions on the surface."""

@@ -14,9 +14,12 @@ THRESHOLDS = np.linspace(0, 0.25, 101)  # over √area, as far as Kim et al. (20
 WITHIN = 0.05  # the error at which shares of points are told
 _TURNS = ("", "_rotated", "_registered")
 _POINTS = (*("error" + turn for turn in _TURNS), "error_prediction")
-_DENSE = (*_POINTS, *("geodesic" + turn for turn in _TURNS))
+_DENSE = (*_POINTS, "geodesic", "geodesic_rotated")
 _SPARSE = (*_POINTS, "error_symmetric")
-_CURVES = {"raw": "", "rotated": "_rotated", "registered": "_registered"}
+_CURVES = {
+    **{"raw": "", "rotated": "_rotated", "registered": "_registered"},
+    **{"geodesic_raw": "_geodesic", "geodesic_rotated": "_geodesic_rotated"},
+}
 _NEIGHBOURS = tuple(name + turn for name in ("c", "c_area") for turn in _TURNS)
 
 Record = dict[str, Any]
@@ -80,7 +83,7 @@ def _shares(dense: Sequence[Record]) -> dict[str, float]:
         f"within{turn}": float(
             np.mean([np.less_equal(pair["quantiles_geodesic" + turn], WITHIN) for pair in known])
         )
-        for turn in _TURNS
+        for turn in ("", "_rotated")
         if known
     }
 
@@ -131,9 +134,8 @@ def error_curves(pairs: Sequence[Record]) -> dict[str, Any]:
         dense = [p for p in pairs if p["kind"] == "dense" and group in ("all", p["group"])]
         if dense:
             curves[group] = {
-                prefix + name: _fractions([pair[f"quantiles{along}{turn}"] for pair in dense])
-                for prefix, along in (("", ""), ("geodesic_", "_geodesic"))
-                for name, turn in _CURVES.items()
+                name: _fractions([pair["quantiles" + kind] for pair in dense])
+                for name, kind in _CURVES.items()
             }
     return {"thresholds": THRESHOLDS.round(6).tolist(), **curves} if curves else {}
 

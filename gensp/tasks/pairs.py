@@ -24,7 +24,7 @@ from gensp.geometry.spherical_map import SphericalMap
 
 # The errors of a pair are kept at these quantiles, for the curve "fraction below x".
 QUANTILES = (np.arange(64) + 0.5) / 64
-GEODESICS = 64  # points of a pair, each way, whose error is measured along the surface, too
+GEODESICS = 32  # points of a pair, each way, whose error is measured along the surface, too
 Record = dict[str, Any]
 Errors = tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]
 
@@ -128,14 +128,15 @@ def _dense(a: EvaluatedMap, b: EvaluatedMap, rows: np.ndarray, others: np.ndarra
     record = {"kind": "dense", "points": len(rows), **record, "hausdorff": hausdorff}
     scale = np.sqrt(a.map.mesh.area) / hausdorff if hausdorff > 0 else np.nan
     few = matched.few(GEODESICS)
-    for suffix, (turn, (there, back)) in turns.items():
+    for suffix, (_, (there, back)) in turns.items():
         for name in ("c", "c_area"):
             ahead = _weighted(there, a.weights[name][rows])
             behind = _weighted(back, b.weights[name][others])
             record[name + suffix] = float(scale * (ahead + behind) / 2)
-        along = few.geodesic_errors(turn)
-        record["geodesic" + suffix] = _mean(along)
         record["quantiles" + suffix] = _quantiles((there, back))
+    for suffix in ("", "_rotated"):
+        along = few.geodesic_errors(turns[suffix][0])
+        record["geodesic" + suffix] = _mean(along)
         record["quantiles_geodesic" + suffix] = _quantiles(along)
     return record
 
