@@ -5,7 +5,15 @@ Every message says which file or shape, what was found, what is required and wha
 
 
 class GenSPError(Exception):
-    """Base of every error that gensp raises on purpose."""
+    """Base of every error that gensp raises on purpose.
+
+    Attributes
+    ----------
+    of_all
+        Whether all ranks of a run raise it together, so that one of them tells it.
+    """
+
+    of_all = False
 
 
 class BadMesh(GenSPError):
@@ -58,6 +66,14 @@ class DamagedFile(GenSPError):
 
 class TrainingDiverged(GenSPError):
     """A loss or a weight is no longer a finite number."""
+
+    of_all = True
+
+
+class RankLost(GenSPError):
+    """Another rank of the run has ended, and with it what all of them do together."""
+
+    of_all = True
 
 
 class OutputError(GenSPError):

@@ -15,7 +15,16 @@ from gensp.machine import first_process, forget_peak_memory
 from gensp.restarts import Progress, begin
 from gensp.runs import Run
 from gensp.stages.callbacks import WholeCheckpoints
-from gensp.stages.session import carry_out, close, conclude, environments, gather, quiet, threads
+from gensp.stages.session import (
+    carry_out,
+    close,
+    conclude,
+    environments,
+    gather,
+    quiet,
+    threads,
+    together,
+)
 from gensp.stages.speed import require_fast
 
 
@@ -54,12 +63,13 @@ def execute(
         logger.log_hyperparams(OmegaConf.to_container(cfg, resolve=True))
     resumed = state is Progress.SOME
     try:
-        carry_out(trainer, cfg.stage.verb, module, data, resume=resumed)
-        if not cfg.keep:
-            return None
-        return conclude(
-            trainer, module, settings=settings, inputs=inputs, began=began, resumed=resumed
-        )
+        with together(folder):
+            carry_out(trainer, cfg.stage.verb, module, data, resume=resumed)
+            if not cfg.keep:
+                return None
+            return conclude(
+                trainer, module, settings=settings, inputs=inputs, began=began, resumed=resumed
+            )
     finally:
         close(trainer.loggers)
 

@@ -34,7 +34,7 @@ def one_line_errors(*, sweep: bool) -> Iterator[None]:
         line = _ARGUMENTS.sub(r"shapes.\1", str(error))
         if sweep:
             raise CompactHydraException(line) from None
-        complain(line)
+        complain(line, of_all=error.of_all)
         raise SystemExit(2) from None
 
 

@@ -1,6 +1,7 @@
 """What a run says: a head line for every stage, its end, errors in one line."""
 
 import sys
+import time
 from collections.abc import Callable, Mapping
 from functools import wraps
 from pathlib import Path
@@ -11,7 +12,7 @@ from rich.markup import escape
 
 from gensp.comparison import compare_methods, compare_variants
 from gensp.files import near, read_json
-from gensp.machine import first_process
+from gensp.machine import first_process, rank
 from gensp.tables import rich_table
 
 STAGES = {
@@ -33,6 +34,8 @@ _SHOWN = (
     "pictures",
     "report.html",
 )
+
+_PATIENCE = 3.0  # seconds in which torchrun, srun or Lightning end ranks whose first has failed
 
 # A log file has room for the whole table.
 console = Console(highlight=False, width=None if Console().is_terminal else 140)
@@ -62,10 +65,22 @@ def warn(text: str) -> None:
     console.print(f"      [yellow]warning:[/yellow] {escape(text)}", soft_wrap=True)
 
 
-@once
-def complain(line: str) -> None:
-    """What went wrong, on the error stream, on rank zero."""
-    sys.stderr.write(f"error: {line}\n")
+def complain(line: str, *, of_all: bool = False) -> None:
+    """What went wrong, on the error stream; ranks behind the first name themselves.
+
+    These hold their tongue for a moment: where the first has met the same, it has told so by then,
+    and what started the ranks has ended them.
+
+    Parameters
+    ----------
+    of_all
+        Whether all ranks meet it together: then the first alone tells it.
+    """
+    first = first_process()
+    if not first:
+        time.sleep(_PATIENCE)
+    if first or not of_all:
+        sys.stderr.write(f"error: {line}\n" if first else f"error: rank {rank()}: {line}\n")
 
 
 def announce(stage: str, folder: Path, place: str = "") -> None:

@@ -108,14 +108,18 @@ class FitStage(Stage):
         Raises
         ------
         TrainingDiverged
-            The loss is not finite.
+            The loss is not finite, on any rank.
         """
         loss = outputs["loss"] if isinstance(outputs, Mapping) else outputs
-        if loss is not None and not bool(torch.isfinite(loss).all()):
-            raise TrainingDiverged(self._diverged("the loss"))
+        self._require_finite("the loss", loss is None or bool(torch.isfinite(loss).all()))
 
-    def _diverged(self, what: str) -> str:
-        return (
+    def _require_finite(self, what: str, finite: bool) -> None:
+        """All ranks stop where one must: a rank that went on would wait for it in vain."""
+        if self._trainer is not None:
+            finite = self.trainer.strategy.reduce_boolean_decision(finite)
+        if finite:
+            return
+        raise TrainingDiverged(
             f"{self.folder}: {what} is no finite number in epoch {self.current_epoch}, step "
             f"{self.global_step}; finite ones are required; lower the stage's learning_rate, or "
             "look for its cause with debug=anomaly"
@@ -149,10 +153,10 @@ class FitStage(Stage):
         Raises
         ------
         TrainingDiverged
-            A weight is not finite.
+            A weight is not finite, on any rank.
         """
-        if not all(bool(torch.isfinite(weight).all()) for weight in self.parameters()):
-            raise TrainingDiverged(self._diverged("a weight"))
+        weights = (bool(torch.isfinite(weight).all()) for weight in self.parameters())
+        self._require_finite("a weight", all(weights))
         means = {
             name: float(value)
             for name, value in self.trainer.callback_metrics.items()

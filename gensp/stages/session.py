@@ -2,18 +2,23 @@
 
 import logging
 import os
+import re
 import sys
 import time
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from datetime import timedelta
+from pathlib import Path
 from typing import Any
 
 import torch
 from lightning import LightningDataModule, Trainer
 from lightning.fabric.plugins.environments import ClusterEnvironment, SLURMEnvironment
 from lightning.pytorch.strategies import DDPStrategy
+from torch.distributed import DistNetworkError, DistStoreError
 
+from gensp.errors import RankLost
 from gensp.ranks import started_outside
 from gensp.runs import CHECKPOINT, Run, seal
 from gensp.stages.base import Stage
@@ -30,6 +35,10 @@ _MEANT_TO_BE_SO = (
     ".*Total length of .* is zero.*",
     ".*LeafSpec.*is deprecated.*",
 )
+
+
+# What gloo and NCCL say of a connection whose other end is gone.
+_LOST = re.compile("gloo/transport|remote process exited")
 
 
 def quiet() -> None:
@@ -77,6 +86,27 @@ def gather(trainer: Trainer) -> None:
     if started_outside() and trainer.world_size > 1:
         trainer.strategy.setup_environment()
         trainer.strategy.barrier("inputs")
+
+
+@contextmanager
+def together(folder: Path) -> Iterator[None]:
+    """What ranks do with each other, of which some may end too early.
+
+    Raises
+    ------
+    RankLost
+        One has; what torch says of the broken connection is pages long.
+    """
+    try:
+        yield
+    except RuntimeError as error:
+        lost = isinstance(error, (DistNetworkError, DistStoreError)) or _LOST.search(str(error))
+        if not lost:
+            raise
+        raise RankLost(
+            f"{folder}: another rank ended before its work was done; all are required to the end; "
+            "mend what its own line or traceback tells, and run the same command again"
+        ) from error
 
 
 def carry_out(

@@ -3,7 +3,6 @@
 import csv
 import json
 import shutil
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +14,7 @@ from commands import (
     begun,
     copied,
     environment,
+    free_port,
     kill_in_the_middle,
     run_here,
     smoke_words,
@@ -188,12 +188,6 @@ def test_ranks_wait_for_the_first_to_find_what_is_damaged(smoke_copy: Path) -> N
     assert done.stderr.count("error: ") == 1, done.stderr[-4000:]
     assert "implicit/model.pt: was changed since" in done.stderr
     assert not (run / "initialize").exists(), "no rank has written anything"
-
-
-def free_port() -> int:
-    with socket.socket() as listening:
-        listening.bind(("127.0.0.1", 0))
-        return int(listening.getsockname()[1])
 
 
 def test_two_machines_share_out_items(smoke: Path, smoke_copy: Path) -> None:
