@@ -5,7 +5,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from commands import run_here, smoke_words, train
+from commands import free_port, run_here, smoke_words, train
 from hydra.errors import MissingConfigException
 
 from gensp.compute import Row
@@ -165,6 +165,33 @@ def test_a_sweep_is_submitted(tmp_path: Path) -> None:
         manifest = json.loads((tmp_path / made / "manifest.json").read_text())
         assert manifest["ranks"] == 1
     assert len(list(tmp_path.glob("smoke/.submitit/*/*_submitted.pkl"))) == 2
+
+
+# What srun tells its tasks, in the words of submitit's local executor.
+AS_SLURM = {
+    "SLURM_PROCID": "${oc.env:SUBMITIT_LOCAL_GLOBALID}",
+    "SLURM_LOCALID": "${oc.env:SUBMITIT_LOCAL_LOCALID}",
+    "SLURM_NTASKS": "${oc.env:SUBMITIT_LOCAL_NTASKS}",
+    "SLURM_NTASKS_PER_NODE": "${oc.env:SUBMITIT_LOCAL_NTASKS}",
+    "SLURM_STEP_NUM_TASKS": "${oc.env:SUBMITIT_LOCAL_NTASKS}",
+    "SLURM_JOB_NUM_NODES": "${oc.env:SUBMITIT_LOCAL_JOB_NUM_NODES}",
+    "SLURM_NODEID": "${oc.env:SUBMITIT_LOCAL_NODEID}",
+    "SLURM_JOB_ID": "7",
+    "SLURM_JOB_NAME": "train",
+    "SLURM_JOB_NODELIST": "127.0.0.1",
+}
+
+
+@pytest.mark.slow
+def test_tasks_of_a_submitted_job_are_the_ranks_of_trainer_slurm(smoke_copy: Path) -> None:
+    told = [f"++hydra.job.env_set.{name}='{value}'" for name, value in AS_SLURM.items()]
+    port = f"++hydra.job.env_set.MASTER_PORT='{free_port()}'"
+    ranks = ("hydra.launcher.tasks_per_node=2", "trainer=slurm", "trainer.accelerator=cpu")
+    stage = ("stage=implicit", "recipe.implicit.epochs=2", "force=true")
+    train(*SUBMITTED, *told, port, *ranks, *smoke_words(smoke_copy), *stage)
+    folder = smoke_copy / "smoke" / "full" / "implicit"
+    assert json.loads((folder / "manifest.json").read_text())["ranks"] == 2
+    assert len((folder / "history.csv").read_text().splitlines()) == 3
 
 
 @pytest.mark.slow
