@@ -9,7 +9,7 @@ from typing import Any
 from gensp.checksums import MANIFEST
 from gensp.errors import OutputError, StaleRun
 from gensp.files import write_json
-from gensp.runs import SETTINGS, plain, record
+from gensp.runs import LOCK, SETTINGS, plain, record
 
 
 class Progress(Enum):
@@ -64,7 +64,7 @@ def require_own(folder: Path, stage: str) -> None:
     OutputError
         It is a file, or holds files that no run of the stage has left.
     """
-    if folder.is_dir() and any(folder.iterdir()):
+    if folder.is_dir() and _content(folder):
         notes = [path for path in (folder / MANIFEST, folder / SETTINGS) if path.is_file()]
         found = record(notes[0], {"settings"})["settings"] if notes else {}
         if (found.get("stage") or {}).get("name") == stage:
@@ -92,14 +92,18 @@ def tidy(folder: Path) -> None:
 def clear(folder: Path) -> None:
     """Empty a run's folder; its seal first, so that a half-removed run never looks finished.
 
-    The folder itself stays: whoever holds its lock keeps holding it.
+    Its lock stays: whoever holds it keeps holding it.
     """
     (folder / MANIFEST).unlink(missing_ok=True)
-    for path in folder.iterdir() if folder.is_dir() else ():
+    for path in _content(folder) if folder.is_dir() else ():
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)
         else:
             path.unlink()
+
+
+def _content(folder: Path) -> list[Path]:
+    return [path for path in folder.iterdir() if path.name != LOCK]
 
 
 def differences(old: Any, new: Any, key: str = "") -> list[str]:

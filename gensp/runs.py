@@ -18,6 +18,7 @@ from gensp.machine import environment, peak_memory
 
 SETTINGS = "settings.json"
 CHECKPOINT = Path("checkpoints") / "last.ckpt"
+LOCK = ".lock"  # hidden, so no result
 
 # How a run went, not what it found: times and paths, which differ from run to run.
 _ACCOUNTS = {SETTINGS, "config.yaml", "rows", "checkpoints", *LOGGED}

@@ -1,5 +1,6 @@
 """Faults that must end in one clear line, and results that no fault may change."""
 
+import errno
 import io
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import torch
 from commands import run_here, smoke_words
 from compare import different
 
+from gensp import occupancy
 from gensp.checksums import listing, require_intact
 from gensp.compute import Row, row_path, run_items, stored_rows
 from gensp.data.shapes import ShapeCollection
@@ -19,7 +21,7 @@ from gensp.errors import DamagedFile, RunInUse, TrainingDiverged
 from gensp.files import load_npz, read_json, read_rows, save_npz
 from gensp.geometry.mesh import Mesh, save_mesh
 from gensp.occupancy import occupied
-from gensp.restarts import begin, clear, restart
+from gensp.restarts import begin, clear, require_own, restart
 from gensp.sharing import Workers
 from gensp.stages.base import FitStage
 from gensp.stages.callbacks import WholeCheckpoints
@@ -54,10 +56,50 @@ def test_a_folder_is_for_one_process_until_it_dies(tmp_path: Path) -> None:
     with occupied(folder):
         (folder / "a.txt").touch()
         clear(folder)
-        assert list(folder.iterdir()) == []
+        assert [path.name for path in folder.iterdir()] == [".lock"], "it is still held"
+        with pytest.raises(RunInUse), occupied(folder):
+            pass
+        require_own(folder, "implicit")
+        begin(folder, {"stage": {"name": "implicit"}})
+        assert [entry.file for entry in listing(folder)] == ["settings.json"]
+    assert [path.name for path in folder.iterdir()] == ["settings.json"]
     with occupied(tmp_path / "other" / "stage"):
         pass
     assert not (tmp_path / "other").exists(), "nothing was written"
+
+
+def test_a_file_system_without_locks_is_told_and_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def no_locks(handle: int, operation: int) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("gensp.occupancy.fcntl.flock", no_locks)
+    with occupied(tmp_path / "stage"):
+        assert (tmp_path / "stage").is_dir()
+    said = " ".join(capsys.readouterr().out.split())
+    assert said == (
+        f"warning: {tmp_path}/stage: cannot be locked (No locks available); start no second "
+        "command that writes into it"
+    )
+
+
+def test_a_lock_that_was_given_back_meanwhile_is_taken_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its holder has removed the file between our opening and our locking it."""
+    lock, flock = tmp_path / ".lock", occupancy.fcntl.flock
+    removed = []
+
+    def late(handle: int, operation: int) -> None:
+        if not removed:
+            removed.append(lock.unlink())
+        flock(handle, operation)
+
+    monkeypatch.setattr("gensp.occupancy.fcntl.flock", late)
+    with occupied(tmp_path), pytest.raises(RunInUse), occupied(tmp_path):
+        pass
+    assert removed
 
 
 def test_a_killed_holder_leaves_an_empty_folder_that_is_taken(tmp_path: Path) -> None:

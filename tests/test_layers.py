@@ -29,7 +29,6 @@ ALLOWED = {
     "machine": set(),
     "checksums": CORE,
     "runs": CORE | {"machine", "checksums"},
-    "occupancy": CORE | {"machine"},
     "tables": CORE,
     "pictures": CORE | {"layout", "geometry", "tables"},
 }
@@ -47,6 +46,7 @@ ALLOWED["data.fitting"] = ALLOWED["data"] | {"data", "data.modules"}
 ALLOWED["data.training"] = ALLOWED["data.fitting"] | {"runs", "data.fitting"}
 ALLOWED["tasks"] = set(ALLOWED) - {"data.modules", "data.fitting", "data.training"}
 ALLOWED["terminal"] = CORE | {"machine", "tables", "comparison"}
+ALLOWED["occupancy"] = CORE | {"machine", "runs", "terminal"}
 ALLOWED["mistakes"] = CORE | {"terminal"}
 ALLOWED["sweeps"] = CORE
 ALLOWED["stopping"] = {"terminal"}
