@@ -18,7 +18,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from gensp.errors import GenSPError, MissingData
-from gensp.sharing import Pool, Work, WorkerDied, Workers, WorkOf
+from gensp.sharing import Found, Pool, WorkerDied, Workers, WorkOf
 
 _PATIENCE = 10  # seconds in which a scheduler must answer
 
@@ -120,13 +120,16 @@ class DaskWorkers(ClusterWorkers):
             yield stack.enter_context(distributed.Client(place, timeout=_PATIENCE))
 
     @contextmanager
-    def pool(self, work: WorkOf, count: int) -> Iterator[Pool]:
+    def pool(self, work: WorkOf, count: int, found: Found) -> Iterator[Pool]:
         """Futures of a client; dask tells which item a worker died of."""
         distributed = needed("distributed", "dask")
         with self._client(count) as client:
+            # It travels once. What is scattered would be lost with its workers; what a task gives
+            # is made again.
+            sent = client.submit(_same, work, pure=False)
 
             def begin(item: str) -> Any:
-                return client.submit(work(item), pure=False)
+                return client.submit(_done, sent, item, pure=False)
 
             def first(futures: Sequence[Any]) -> Any:
                 ended = distributed.wait(futures, return_when="FIRST_COMPLETED").done
@@ -197,13 +200,14 @@ class RayWorkers(ClusterWorkers):
             ray.shutdown()
 
     @contextmanager
-    def pool(self, work: WorkOf, count: int) -> Iterator[Pool]:
+    def pool(self, work: WorkOf, count: int, found: Found) -> Iterator[Pool]:
         """Tasks of ray, each on a core of its own; ray does not repeat them."""
         with self._ray(count) as ray:
-            remote = ray.remote(max_retries=0, num_cpus=1)(_call)
+            remote = ray.remote(max_retries=0, num_cpus=1)(_done)
+            sent = ray.put(work)
 
             def begin(item: str) -> Any:
-                return remote.remote(work(item))
+                return remote.remote(sent, item)
 
             def first(futures: Sequence[Any]) -> Any:
                 return ray.wait(list(futures))[0][0]
@@ -215,8 +219,12 @@ class RayWorkers(ClusterWorkers):
             yield partial(_by_futures, begin, first, partial(_result_of_ray, ray), died)
 
 
-def _call(work: Work) -> Any:
-    return work()
+def _same(work: WorkOf) -> WorkOf:
+    return work
+
+
+def _done(work: WorkOf, item: str) -> Any:
+    return work(item)()
 
 
 def _result_of_ray(ray: Any, future: Any) -> Any:

@@ -3,6 +3,7 @@
 The run folder must be the same folder on all of them: a worker writes the files of its items.
 """
 
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
@@ -13,7 +14,7 @@ from typing import Any
 
 from gensp.clusters import needed
 from gensp.errors import GenSPError
-from gensp.sharing import Pool, Work, WorkerDied, Workers, WorkOf, shared_out
+from gensp.sharing import Found, Pool, Work, WorkerDied, Workers, WorkOf, shared_out
 
 # States of a task of SLURM that its items have not brought about.
 _ENDED_EARLY = {"TIMEOUT", "PREEMPTED", "CANCELLED", "NODE_FAIL", "BOOT_FAIL", "REVOKED"}
@@ -53,9 +54,9 @@ class SlurmWorkers(Workers):
         """Tasks of the array of each rank."""
         return max(1, self.tasks // ranks)
 
-    def pool(self, work: WorkOf, count: int) -> AbstractContextManager[Pool]:
+    def pool(self, work: WorkOf, count: int, found: Found) -> AbstractContextManager[Pool]:
         """Job arrays, one for every pass over the items."""
-        return nullcontext(partial(_by_array, self, self._executor(), work))
+        return nullcontext(partial(_by_array, self, self._executor(), work, found))
 
     def _executor(self) -> Any:
         submitit = needed("submitit", "slurm")
@@ -77,32 +78,62 @@ class SlurmWorkers(Workers):
 
 
 def _by_array(
-    workers: SlurmWorkers, executor: Any, work: WorkOf, items: Sequence[str], count: int
+    workers: SlurmWorkers,
+    executor: Any,
+    work: WorkOf,
+    found: Found,
+    items: Sequence[str],
+    count: int,
 ) -> Iterator[tuple[str, Any]]:
     """Every task takes up what dies in it; a task that dies itself is told at the end."""
-    submitit = needed("submitit", "slurm")
     shares = [
         {item: work(item) for item in items[k::count]} for k in range(min(count, len(items)))
     ]
     own = Workers(jobs=max(1, workers.jobs), isolated=True)
     jobs = executor.map_array(partial(run_share, own), shares)
-    share_of = dict(zip(jobs, shares, strict=True))
-    pause = _POLL if workers.cluster == "slurm" else _POLL_HERE
+    left = {job: dict.fromkeys(share) for job, share in zip(jobs, shares, strict=True)}
     died: list[list[str]] = []
     try:
-        for job in submitit.helpers.as_completed(jobs, poll_frequency=pause):
-            try:
-                yield from _told(job.result())
-            except submitit.core.utils.FailedJobError:
-                raise
-            except submitit.core.utils.UncompletedJobError:
-                died.append([] if _is_nobodys_fault(job) else list(share_of[job]))
+        while left:
+            for job in list(left):
+                ended = _ended(job, list(left[job]), died) if job.done() else None
+                arrived = _arrived(list(left[job]), found, own.jobs) if ended is None else ended
+                for item, result in arrived:
+                    del left[job][item]
+                    yield item, result
+                if ended is not None:
+                    del left[job]
+            time.sleep((_POLL if workers.cluster == "slurm" else _POLL_HERE) if left else 0)
     finally:
         for job in jobs:
             if not job.done():
                 job.cancel()
     if died:
         raise WorkerDied(_in_turns(died))
+
+
+def _arrived(items: Sequence[str], found: Found, ahead: int) -> Iterator[tuple[str, Any]]:
+    """What a task that runs has left so far; it begins its items in order, `ahead` at once."""
+    for item in items:
+        result = found(item)
+        if result is not None:
+            yield item, result
+        else:
+            ahead -= 1
+        if not ahead:
+            break
+
+
+def _ended(job: Any, items: Sequence[str], died: list[list[str]]) -> list[tuple[str, Any]]:
+    """What a task handed back of these items; if it died, they are added to the suspects."""
+    submitit = needed("submitit", "slurm")
+    try:
+        return [(item, result) for item, result in _told(job.result()) if item in set(items)]
+    except submitit.core.utils.FailedJobError:
+        raise
+    except submitit.core.utils.UncompletedJobError:
+        died.append([] if _is_nobodys_fault(job) else list(items))
+        return []
 
 
 def _is_nobodys_fault(job: Any) -> bool:

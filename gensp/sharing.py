@@ -20,6 +20,8 @@ from gensp.errors import GenSPError
 Work = Callable[[], Any]
 WorkOf = Callable[[str], Work]  # what is to be done with an item, made only when its turn comes
 
+Found = Callable[[str], Any]  # the result that a worker has left of an item, None where it has not
+
 # (items, how many at once) → pairs of an item and its result, in the order in which they end.
 Pool = Callable[[Sequence[str], int], Iterator[tuple[str, Any]]]
 
@@ -98,10 +100,11 @@ class Workers:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None
         return max(1, (self.jobs or cores or os.cpu_count() or 1) // ranks)
 
-    def pool(self, work: WorkOf, count: int) -> AbstractContextManager[Pool]:
+    def pool(self, work: WorkOf, count: int, found: Found) -> AbstractContextManager[Pool]:
         """What does some work on items, `count` of them at once or fewer.
 
-        The pool raises WorkerDied when it has given back what it could.
+        The pool raises WorkerDied when it has given back what it could. It may ask for results
+        that workers have left before these hand them over.
         """
         if count == 1 and not self.isolated:
             return nullcontext(partial(_in_turn, work))
@@ -141,7 +144,7 @@ def shared_out(
     items: Sequence[str],
     workers: Workers,
     *,
-    found: Callable[[str], Any],
+    found: Found,
     what: Path | str,
     ranks: int = 1,
 ) -> Iterator[tuple[str, Any]]:
@@ -165,7 +168,7 @@ def shared_out(
     waiting, count, barren = dict.fromkeys(items), workers.count(ranks), 0
     if not waiting:
         return
-    with workers.pool(work, count) as pool:
+    with workers.pool(work, count, found) as pool:
         while waiting:
             before = len(waiting)
             try:
@@ -189,7 +192,7 @@ def _warn(what: Path | str) -> None:
 def _taken_up(
     pool: Pool,
     items: Sequence[str],
-    found: Callable[[str], Any],
+    found: Found,
     suspects: Sequence[str],
     count: int,
 ) -> tuple[list[tuple[str, Any]], int]:
@@ -206,7 +209,7 @@ def _taken_up(
     return settled + judged, max(1, count // 2) if innocent else count
 
 
-def _alone(pool: Pool, item: str, found: Callable[[str], Any]) -> Any:
+def _alone(pool: Pool, item: str, found: Found) -> Any:
     """What comes of an item while nothing else runs; None when its workers died."""
     result = None
     for _ in range(ATTEMPTS):

@@ -7,6 +7,7 @@ import shutil
 import sys
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import distributed
 import pytest
@@ -18,8 +19,8 @@ from trying import Trying
 from gensp.clusters import _TALKATIVE, DaskWorkers, RayWorkers, needed
 from gensp.compute import Row, run_items, stored_rows
 from gensp.errors import GenSPError, MissingData, OutputError
-from gensp.job_arrays import SlurmWorkers, _is_nobodys_fault
-from gensp.sharing import Workers
+from gensp.job_arrays import SlurmWorkers, _by_array, _is_nobodys_fault
+from gensp.sharing import Packed, Workers
 
 pytestmark = pytest.mark.slow
 
@@ -61,6 +62,57 @@ def test_every_item_has_its_row_whoever_dies(workers: Workers, tmp_path: Path) -
     # Finished before: nobody is asked.
     kept = list(run_items(Trying(tmp_path), ["a", "e"], tmp_path / "run", workers))
     assert kept == [stored["a"], stored["e"]]
+
+
+@pytest.mark.parametrize("workers", ["dask", "ray"], indirect=True)
+def test_a_task_travels_once_however_many_items_it_has(
+    workers: Workers, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent = []
+    packed = Packed.__reduce__
+
+    def counted(task: Packed) -> Any:
+        sent.append(task)
+        return packed(task)
+
+    monkeypatch.setattr(Packed, "__reduce__", counted)
+    items = [f"item{k}" for k in range(12)]
+    rows = list(run_items(Trying(tmp_path), items, tmp_path / "run", workers))
+    assert len(rows) == 12
+    # dask looks first whether plain pickle would do.
+    assert 1 <= len(sent) <= 3
+
+
+def test_rows_of_a_task_of_an_array_are_told_before_it_ends(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Two tasks of three items each, which leave one row between two looks."""
+    left: dict[str, int] = {}
+    result = {item: ord(item) for item in "abcdef"}
+    looks: list[str] = []
+
+    def look(seconds: float) -> None:
+        looks.append("")
+        left.update({item: result[item] for item in "abcdef"[: 2 * len(looks)]})
+
+    class Job:
+        def __init__(self, share: Any) -> None:
+            self.share = share
+
+        def done(self) -> bool:
+            return len(looks) == 3
+
+        def result(self) -> list[tuple[str, int]]:
+            return [(item, result[item]) for item in self.share]
+
+    monkeypatch.setattr("gensp.job_arrays.time.sleep", look)
+    executor = SimpleNamespace(map_array=lambda task, shares: [Job(share) for share in shares])
+    told = []
+    rows = _by_array(SlurmWorkers(), executor, lambda item: str, left.get, "abcdef", 2)
+    for item, value in rows:
+        assert value == result[item]
+        told.append(f"{item} after {len(looks)}")
+    assert told == ["a after 1", "b after 1", "c after 2", "d after 2", "e after 3", "f after 3"]
 
 
 @pytest.mark.parametrize("workers", ["slurm"], indirect=True)

@@ -152,7 +152,7 @@ def test_a_row_that_a_dead_worker_left_counts(tmp_path: Path) -> None:
     done: list[str] = []
 
     @contextmanager
-    def pool(work: Any, count: int) -> Iterator[Any]:
+    def pool(work: Any, count: int, found: Any) -> Iterator[Any]:
         def attempt(items: Sequence[str], most: int) -> Iterator[tuple[str, int]]:
             done.append(f"{','.join(items)} by {most}")
             if len(items) > 1 and most > 2:
@@ -172,7 +172,7 @@ def test_a_row_that_a_dead_worker_left_counts(tmp_path: Path) -> None:
 
 def test_workers_that_die_before_they_work_are_told() -> None:
     @contextmanager
-    def pool(work: Any, count: int) -> Iterator[Any]:
+    def pool(work: Any, count: int, found: Any) -> Iterator[Any]:
         def attempt(items: Sequence[str], most: int) -> Iterator[tuple[str, int]]:
             raise WorkerDied
             yield
@@ -190,7 +190,7 @@ def test_rows_that_are_written_elsewhere_are_told(
     """A worker whose run folder is another one than this command's."""
 
     @contextmanager
-    def pool(work: Any, count: int) -> Iterator[Any]:
+    def pool(work: Any, count: int, found: Any) -> Iterator[Any]:
         yield lambda items, most: iter([(item, {"id": item}) for item in items])
 
     workers = SimpleNamespace(count=lambda ranks: 1, pool=pool)
