@@ -20,6 +20,7 @@ from gensp.configuration import (
 )
 from gensp.data.raw import require_apart, require_rule
 from gensp.errors import OutputError
+from gensp.files import unwritable
 from gensp.machine import first_process
 from gensp.occupancy import occupied
 from gensp.ranks import require_startable
@@ -113,7 +114,7 @@ def run_stage(cfg: DictConfig, overrides: Sequence[str] = (), place: str = "") -
     if runs.outputs.get(name):
         require_own(folder, name)
     announce(name, folder, place)
-    with _output_errors(folder):
+    with _output_errors(cfg, folder):
         headline = _bring_to_end(cfg, folder, runs, inputs, settings)
         if name == "evaluate" and cfg.keep:
             show_methods(folder.parent.parent)
@@ -164,13 +165,26 @@ def _prepare(cfg: DictConfig, folder: Path, settings: Mapping[str, Any]) -> Prog
 
 
 @contextmanager
-def _output_errors(folder: Path) -> Iterator[None]:
+def _output_errors(cfg: DictConfig, folder: Path) -> Iterator[None]:
+    """One line for what cannot be written, with the setting that names another place for it."""
     try:
         yield
+    except OutputError as error:
+        path = Path(str(error).partition(": ")[0])
+        raise OutputError(str(error).replace("paths.runs=", f"{_word(cfg, path)}=")) from error
     except OSError as error:
         if error.errno not in _FULL_OR_FORBIDDEN:
             raise
-        raise OutputError(
-            f"{error.filename or folder}: cannot be written ({error.strerror}); free space or "
-            "permission is required; name another folder with paths.runs=FOLDER"
-        ) from error
+        path = Path(error.filename or folder)
+        raise unwritable(path, error, _word(cfg, path)) from error
+
+
+def _word(cfg: DictConfig, path: Path) -> str:
+    """The setting that says where a path of a run lies."""
+    places = {"paths.cache": cfg.paths.cache, "prepare.out": cfg.prepare.out}
+    within = [
+        word
+        for word, place in places.items()
+        if place is not None and path.absolute().is_relative_to(Path(place).absolute())
+    ]
+    return within[0] if within else "paths.runs"

@@ -1,5 +1,6 @@
 """What a person reads when a run cannot go on: one line, exit code 2, nothing half written."""
 
+import errno
 import re
 import resource
 import shutil
@@ -9,10 +10,14 @@ from pathlib import Path
 
 import pytest
 from commands import ROOT, command, environment, run_here, smoke_words, train
+from omegaconf import OmegaConf
 
 from gensp.errors import MissingData, OutputError, StaleRun, Unsupported
+from gensp.files import atomic_path
 from gensp.geometry.mesh import Mesh, save_mesh
 from gensp.geometry.sphere import icosphere
+from gensp.run import _output_errors
+from gensp.terminal import complain
 
 
 def complaint(*words: str) -> str:
@@ -217,3 +222,39 @@ def test_full_disk(stage: str, logger: str, limit: int, smoke_copy: Path) -> Non
     assert not [path for path in left if path.name.startswith(".")]
     run_here(*words)
     assert (folder / "manifest.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("below", "word"),
+    [
+        ("cache/prepared/00/a.npz", "paths.cache"),
+        ("mine/meshes/a.ply", "prepare.out"),
+        ("runs/smoke/full/augment/a.npz", "paths.runs"),
+    ],
+)
+def test_a_full_disk_names_the_setting_of_its_place(
+    below: str, word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    cfg = OmegaConf.create({"paths": {"cache": "cache"}, "prepare": {"out": f"{tmp_path}/mine"}})
+    full = OSError(errno.ENOSPC, "No space left on device", str(tmp_path / below))
+    told = rf"{below}: cannot be written \(No space .*; name another folder with {word}=FOLDER$"
+    with pytest.raises(OutputError, match=told), _output_errors(cfg, tmp_path):
+        raise full
+    with (
+        pytest.raises(OutputError, match=told),
+        _output_errors(cfg, tmp_path),
+        atomic_path(tmp_path / below),
+    ):
+        raise full
+
+
+def test_ranks_behind_the_first_name_themselves(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("gensp.terminal._PATIENCE", 0.0)
+    for rank in ("0", "3"):
+        monkeypatch.setenv("RANK", rank)
+        complain("of one")
+        complain("of all", of_all=True)
+    assert capsys.readouterr().err == "error: of one\nerror: of all\nerror: rank 3: of one\n"
