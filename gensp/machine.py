@@ -14,13 +14,18 @@ _PACKAGES = (
     *("numba", "scikit-image", "qdldl", "joblib", "hydra-core", "h5py"),
 )
 
-# What launchers (torchrun, Lightning's own, Slurm, jsrun) call the place of a process.
-_RANKS = ("RANK", "LOCAL_RANK", "NODE_RANK", "SLURM_PROCID", "JSM_NAMESPACE_RANK")
+# What launchers (torchrun, Slurm, jsrun, Lightning's own) call the place of a process.
+_RANKS = ("RANK", "SLURM_PROCID", "JSM_NAMESPACE_RANK", "LOCAL_RANK", "NODE_RANK")
 
 
 def first_process() -> bool:
     """Whether this is rank zero, or the only process: the one that speaks and tidies."""
     return all(os.environ.get(name, "0") == "0" for name in _RANKS)
+
+
+def rank() -> str:
+    """The place of this process among those that were started together, as its launcher says."""
+    return next((os.environ[name] for name in _RANKS if name in os.environ), "0")
 
 
 def environment() -> dict[str, Any]:
@@ -43,7 +48,19 @@ def _version(package: str) -> str | None:
 
 
 def _revision() -> str | None:
-    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
+    """Of the repository that holds the package's sources; of an installed package its version.
+
+    A repository around it, such as that of whoever installed it into a folder below, knows nothing
+    of these files.
+    """
+    if _git("ls-files", "--error-unmatch", Path(__file__).name) is None:
+        return _version("gensp")
+    return _git("describe", "--always", "--dirty")
+
+
+def _git(*words: str) -> str | None:
+    """What git says of the folder of the package; None where it refuses or is missing."""
+    command = ["git", "-C", str(Path(__file__).parent), *words]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=True)
     except (OSError, subprocess.SubprocessError):

@@ -1,6 +1,8 @@
 """Run folders: the restart table row by row, predecessors, seals."""
 
 import json
+import subprocess
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -8,6 +10,7 @@ import pytest
 from gensp.checksums import FILES, listing
 from gensp.errors import MissingStage, OutputError, StaleRun
 from gensp.files import write_json
+from gensp.machine import environment
 from gensp.restarts import Progress, begin, clear, differences, restart
 from gensp.runs import CHECKPOINT, MANIFEST, Run, Runs, seal
 
@@ -157,3 +160,25 @@ def test_settings_survive_json(tmp_path: Path) -> None:
     assert differences(stored["settings"], json.loads(json.dumps(SETTINGS))) == []
     write_json(tmp_path / "settings.json", stored)
     assert restart(tmp_path, SETTINGS) is Progress.SOME
+
+
+def test_the_revision_is_that_of_the_repository_that_holds_the_sources(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not of one around them: a package may be installed within somebody's repository."""
+
+    def git(*words: str) -> str:
+        identity = ("-c", "user.name=a", "-c", "user.email=a@b")
+        command = ["git", "-C", str(tmp_path), *identity, *words]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
+    source = tmp_path / "site" / "gensp" / "machine.py"
+    source.parent.mkdir(parents=True)
+    source.touch()
+    git("init", "-q")
+    git("commit", "-q", "--allow-empty", "-m", "another's")
+    monkeypatch.setattr("gensp.machine.__file__", str(source))
+    assert environment()["revision"] == version("gensp")
+    git("add", ".")
+    git("commit", "-q", "-m", "the sources")
+    assert environment()["revision"] == git("rev-parse", "--short", "HEAD")

@@ -23,13 +23,18 @@ def two_columns(title: str, rows: Iterable[tuple[str, str]]) -> None:
 
 
 def show_table(title: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """A table with headings."""
+    """A table with headings; for another program to read, unbroken lines with tabs."""
+    console = Console()
+    if not console.is_terminal:
+        for row in (header, *rows):
+            console.out("\t".join(row), highlight=False)
+        return
     table = Table(title=title, title_justify="left", header_style="bold", show_lines=True)
     for heading in header:
         table.add_column(heading, overflow="fold")
     for row in rows:
         table.add_row(*row)
-    Console().print(table)
+    console.print(table)
 
 
 def sections(parts: Iterable[tuple[str, Sequence[str]]]) -> None:

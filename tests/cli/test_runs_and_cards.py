@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from gensp.catalogue import compared, find_runs
+from gensp.catalogue import LISTED, compared, find_runs
 from gensp.errors import MissingData
 from gensp.geometry.mesh import Mesh, save_mesh
 from gensp.restarts import begin
@@ -70,6 +70,18 @@ def test_commands_print_tables(gensp: Run, runs: Path) -> None:
     code, said, _ = gensp("runs", "compare", runs / "heads/full", runs / "heads/no_da")
     assert code == 0
     assert "stage.rates.0" in said
+
+
+def test_a_list_for_another_program_has_unbroken_lines(
+    gensp: Run, runs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "40")
+    variant = "full+finetune.isometry_weight-0.01,finetune.smoothness_weight-0.25"
+    finished(runs / "heads" / variant / "finetune", "finetune", 0.1, 3.0)
+    rows = [line.split("\t") for line in gensp("runs", "list", runs)[1].splitlines()]
+    assert rows[0] == list(LISTED)
+    assert {len(row) for row in rows} == {len(LISTED)}
+    assert f"heads/{variant}/finetune" in [row[0] for row in rows]
 
 
 def test_export_holds_everything(gensp: Run, runs: Path, tmp_path: Path) -> None:
