@@ -5,6 +5,7 @@
 The dense system has 8,000 unknowns: about 2 GiB and a minute of one core.
 """
 
+import argparse
 import time
 from collections.abc import Callable
 
@@ -88,5 +89,6 @@ def row(name: str, figure: float, unit: str, required: str = "") -> dict[str, ob
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
     for line in measure():
         print("{name:32s} {figure:12.3g} {unit:2s} {required}".format(**line))  # noqa: T201

@@ -1,30 +1,49 @@
-"""Every `python train.py …` that a page shows composes."""
+"""Every command that a page shows is one: it composes, or its words are read, without running."""
 
+import argparse
 import itertools
 import re
+import runpy
 import shlex
+import sys
 from pathlib import Path
+from typing import Any, NoReturn
 
 import pytest
+import typer
 from commands import ROOT
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), ROOT / "data" / "README.md"]
 FENCED = re.compile(r"^```\w*\n(.*?)^```", re.DOTALL | re.MULTILINE)
-INLINE = re.compile(r"`(python train\.py[^`]*)`")
+INLINE = re.compile(r"`([^`]*)`")
+SETTING = re.compile(r"^(?:[A-Z_]+=\S+ +)*")  # of the environment, before a command
+PROGRAMS = ("python train.py", "torchrun", "srun", "gensp", "make", "python benchmarks/")
 
 
 def shown(page: Path) -> list[str]:
-    """Commands of a page, in fences and in the text, comments left out."""
+    """Commands of a page, in fences and in the text, comments left out.
+
+    In the text a program is often named without what it needs: those that end there are left out,
+    and so is what has an ellipsis.
+    """
     text = page.read_text()
     blocks = [block.replace("\\\n", " ") for block in FENCED.findall(text)]
     lines = [line for block in blocks for line in block.splitlines()]
-    lines += [" ".join(found.split()) for found in INLINE.findall(FENCED.sub("", text))]
-    return [line for line in lines if line.startswith("python train.py")]
+    named = (" ".join(found.split()) for found in INLINE.findall(FENCED.sub("", text)))
+    lines += [line for line in named if len(line.split()) > 2 and "…" not in line]
+    bare = [SETTING.sub("", line.strip()) for line in lines]
+    return [line for line in bare if line.startswith(PROGRAMS)]
 
 
-COMMANDS = [(page.name, line) for page in PAGES for line in shown(page)]
+COMMANDS = [(page.name, line) for page in PAGES for line in dict.fromkeys(shown(page))]
+
+
+def of(*programs: str) -> Any:
+    """The commands of some programs, for a test."""
+    found = [command for command in COMMANDS if command[1].startswith(programs)]
+    return pytest.mark.parametrize(("page", "line"), found)
 
 
 def jobs(words: list[str]) -> list[list[str]]:
@@ -38,17 +57,76 @@ def jobs(words: list[str]) -> list[list[str]]:
     return [list(job) for job in itertools.product(*choices)]
 
 
-def test_pages_show_commands() -> None:
+def test_pages_show_commands_of_every_program() -> None:
     assert len({page for page, _ in COMMANDS}) >= 4
-    assert len(COMMANDS) >= 15
+    for program in PROGRAMS:
+        assert sum(line.startswith(program) for _, line in COMMANDS) >= 2, program
+    assert len(COMMANDS) >= 100
 
 
-@pytest.mark.parametrize(("page", "line"), COMMANDS)
+@of("python train.py", "torchrun", "srun")
 def test_a_shown_command_composes(page: str, line: str, tmp_path: Path) -> None:
-    words = shlex.split(line.replace("FOLDER", str(tmp_path)), comments=True)[2:]
+    words = shlex.split(line.replace("FOLDER", str(tmp_path)), comments=True)
+    if "train.py" not in words:
+        return  # how many processes torchrun or srun starts, within a sentence
+    start, words = words[: words.index("train.py")], words[words.index("train.py") + 1 :]
+    if start[0] == "torchrun":
+        from torch.distributed.run import get_args_parser
+
+        get_args_parser().parse_args([*start[1:], "train.py", *words])
     if words == ["--help"]:
         return  # run by tests/test_config.py
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
         for job in jobs(words):
             cfg = compose("config", overrides=job)
             assert OmegaConf.to_container(cfg, resolve=True, throw_on_missing=True)
+
+
+@of("gensp")
+def test_a_shown_command_of_the_console_is_read(page: str, line: str) -> None:
+    from gensp.cli import commands
+
+    command, words = typer.main.get_command(commands), shlex.split(line, comments=True)[1:]
+    context = None
+    while hasattr(command, "commands") and words[0] in command.commands:
+        command = command.commands[words.pop(0)]
+    known = {option for entry in command.params for option in entry.opts} | {"--help", "COMMAND"}
+    given = {word.split("=")[0] for word in words if word.startswith("--")}
+    assert given <= known, f"{line}: {given - known}"
+    needed = [entry for entry in command.params if entry.required and entry.nargs == 1]
+    if len(words) > len(needed):
+        context = command.make_context(command.name, words, resilient_parsing=False)
+        assert context.params
+
+
+@of("make")
+def test_a_shown_target_is_made(page: str, line: str) -> None:
+    targets = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    words = [word for word in shlex.split(line, comments=True)[1:] if "=" not in word]
+    assert words
+    assert set(words) <= set(targets)
+
+
+class Read(Exception):
+    """The words were read; what comes after would run."""
+
+
+@of("python benchmarks/")
+def test_a_shown_benchmark_reads_its_words(
+    page: str, line: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script, *words = shlex.split(line.split("|")[0], comments=True)[1:]
+    if "ArgumentParser" not in (ROOT / script).read_text():
+        assert words == []
+        return
+    parse = argparse.ArgumentParser.parse_args
+
+    def reads(self: argparse.ArgumentParser, *given: Any) -> NoReturn:
+        parse(self, *given)
+        raise Read
+
+    monkeypatch.setattr(argparse.ArgumentParser, "parse_args", reads)
+    monkeypatch.setattr(sys, "argv", [script, *words])
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    with pytest.raises(Read):
+        runpy.run_path(str(ROOT / script), run_name="__main__")
