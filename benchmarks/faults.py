@@ -3,6 +3,7 @@
 OMP_NUM_THREADS=1 python benchmarks/faults.py --out faults             # three kills in every stage
 OMP_NUM_THREADS=1 python benchmarks/faults.py --stages augment --kills 1 --out faults
 
+A training is killed after it has saved a checkpoint, so that there is something to go on from.
 Writes faults.md and faults.csv into the folder, and fails where a result differs by a bit.
 """
 
@@ -36,6 +37,7 @@ from gensp.runs import CHECKPOINT, MANIFEST, Run
 
 PREPARE = "prepare"
 CHOICES = (*STAGES, PREPARE)  # the place of each seeds its moments
+TRAININGS = ("implicit", "initialize", "finetune")
 _SAY = Console(stderr=True)
 _ATTEMPTS = 5  # for every kill: a stage may end before its moment
 
@@ -83,23 +85,38 @@ class Study:
         shutil.rmtree(self.folder("killed", stage))
         shutil.rmtree(self.out / "killed" / "cache" / "prepared", ignore_errors=True)
 
-    def finish(self, name: str, stage: str) -> float:
-        """Run a stage to its end; the seconds of the process."""
-        began = time.monotonic()
+    def finish(self, name: str, stage: str) -> tuple[float, float]:
+        """Run a stage to its end; seconds of the process, and those after the first checkpoint."""
+        began = saved = time.monotonic()
         with self._started(name, stage, 1) as process:
+            if stage in TRAININGS:
+                self._wait_until_saved(process, self.folder(name, stage) / CHECKPOINT)
+                saved = time.monotonic()
             said = process.communicate()[0].decode()
         if process.returncode:
             raise SystemExit(f"stage={stage} ended with {process.returncode}:\n{said[-2000:]}")
-        return time.monotonic() - began
+        return time.monotonic() - began, time.monotonic() - saved
 
-    def kill(self, stage: str, moment: float, jobs: int) -> str:
-        """Start a stage and kill it with its workers; what its folder holds then."""
+    def kill(self, stage: str, moment: float, jobs: int) -> tuple[float, str]:
+        """Start a stage and kill it with its workers; after how long, what its folder holds then.
+
+        The moment of a training counts from its first checkpoint.
+        """
+        began = time.monotonic()
         with self._started("killed", stage, jobs) as process:
+            if stage in TRAININGS:
+                self._wait_until_saved(process, self.folder("killed", stage) / CHECKPOINT)
             try:
                 process.wait(timeout=moment)
             except subprocess.TimeoutExpired:
                 os.killpg(process.pid, signal.SIGKILL)
-        return self._found(self.folder("killed", stage))
+        return time.monotonic() - began, self._found(self.folder("killed", stage))
+
+    def _wait_until_saved(self, process: subprocess.Popen[bytes], checkpoint: Path) -> None:
+        """Until the process ends, or has saved another checkpoint than one before may have."""
+        before = _changed(checkpoint)
+        while process.poll() is None and _changed(checkpoint) == before:
+            time.sleep(0.005)
 
     def _started(self, name: str, stage: str, jobs: int) -> subprocess.Popen[bytes]:
         command = [sys.executable, "train.py", *self.words(name, stage, jobs)]
@@ -115,6 +132,10 @@ class Study:
         if (folder / CHECKPOINT).is_file():
             return "a checkpoint"
         return "its settings" if (folder / "settings.json").is_file() else "nothing"
+
+
+def _changed(path: Path) -> int:
+    return path.stat().st_mtime_ns if path.is_file() else 0
 
 
 def write_raw(out: Path) -> None:
@@ -136,23 +157,26 @@ def write_raw(out: Path) -> None:
 
 def kills_of(study: Study, stage: str, count: int) -> list[Kill]:
     """Kill a stage again and again where it stands, let it end, compare."""
-    whole = study.finish("reference", stage)
+    whole, saving = study.finish("reference", stage)
     working = float(Run(study.folder("reference", stage)).manifest["seconds"])
     random = np.random.default_rng([study.seed, CHOICES.index(stage)])
     kills: list[Kill] = []
     waiting: list[Kill] = []
     for attempt in range(_ATTEMPTS * count):
         # Imports leave nothing that could be spoilt: few kills fall there.
-        moment = float(random.uniform(0.9 * (whole - working), whole))
-        found = study.kill(stage, moment, jobs=1 + attempt % 2)
+        earliest, latest = 0.9 * (whole - working), whole
+        if stage in TRAININGS:
+            earliest, latest = 0.0, saving
+        moment = float(random.uniform(earliest, latest))
+        seconds, found = study.kill(stage, moment, jobs=1 + attempt % 2)
         if found == "finished":  # too late: what was killed before is compared, then anew
             kills += [_compared(study, kill) for kill in waiting]
             waiting.clear()
             study.forget(stage)
-            whole = max(0.8 * whole, working)  # the machine is less busy than before
+            whole, saving = max(0.8 * whole, working), 0.8 * saving  # the machine is less busy
             continue
-        waiting.append(Kill(stage, round(moment, 2), round(whole, 2), found))
-        _SAY.print(f"{stage}: killed after {moment:.1f} s of {whole:.1f} s, left {found}")
+        waiting.append(Kill(stage, round(seconds, 2), round(whole, 2), found))
+        _SAY.print(f"{stage}: killed after {seconds:.1f} s of {whole:.1f} s, left {found}")
         if len(kills) + len(waiting) == count:
             break
     study.finish("killed", stage)
