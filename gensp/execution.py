@@ -50,7 +50,8 @@ def execute(
     seed_everything(cfg.seed, workers=True, verbose=False)
     torch.set_num_threads(cfg.threads or threads())
     trainer = _trainer(cfg, folder)
-    gather(trainer)
+    with together(folder):
+        gather(trainer)
     ours, own = placed(cfg), folder.absolute()
     read = {name: Run(run.folder.absolute()) for name, run in inputs.items()}
     data = made(ours.data, inputs=read, folder=own)

@@ -16,7 +16,6 @@ import torch
 from lightning import LightningDataModule, Trainer
 from lightning.fabric.plugins.environments import ClusterEnvironment, SLURMEnvironment
 from lightning.pytorch.strategies import DDPStrategy
-from torch.distributed import DistNetworkError, DistStoreError
 
 from gensp.errors import RankLost
 from gensp.ranks import started_outside
@@ -37,8 +36,8 @@ _MEANT_TO_BE_SO = (
 )
 
 
-# What gloo and NCCL say of a connection whose other end is gone.
-_LOST = re.compile("gloo/transport|remote process exited")
+# What gloo, NCCL and torch's store say of a connection whose other end is gone.
+_LOST = re.compile("gloo/transport|remote process exited|failed to recv|recvValue failed")
 
 
 def quiet() -> None:
@@ -100,8 +99,7 @@ def together(folder: Path) -> Iterator[None]:
     try:
         yield
     except RuntimeError as error:
-        lost = isinstance(error, (DistNetworkError, DistStoreError)) or _LOST.search(str(error))
-        if not lost:
+        if not _LOST.search(str(error)):
             raise
         raise RankLost(
             f"{folder}: another rank ended before its work was done; all are required to the end; "
