@@ -92,6 +92,7 @@ def _by_array(
     own = Workers(jobs=max(1, workers.jobs), isolated=True)
     jobs = executor.map_array(partial(run_share, own), shares)
     left = {job: dict.fromkeys(share) for job, share in zip(jobs, shares, strict=True)}
+    pause = _POLL if workers.cluster == "slurm" else _POLL_HERE
     died: list[list[str]] = []
     try:
         while left:
@@ -103,7 +104,8 @@ def _by_array(
                     yield item, result
                 if ended is not None:
                     del left[job]
-            time.sleep((_POLL if workers.cluster == "slurm" else _POLL_HERE) if left else 0)
+            if left:
+                time.sleep(pause)
     finally:
         for job in jobs:
             if not job.done():
@@ -126,9 +128,9 @@ def _arrived(items: Sequence[str], found: Found, ahead: int) -> Iterator[tuple[s
 
 def _ended(job: Any, items: Sequence[str], died: list[list[str]]) -> list[tuple[str, Any]]:
     """What a task handed back of these items; if it died, they are added to the suspects."""
-    submitit = needed("submitit", "slurm")
+    submitit, missing = needed("submitit", "slurm"), set(items)
     try:
-        return [(item, result) for item, result in _told(job.result()) if item in set(items)]
+        return [(item, result) for item, result in _told(job.result()) if item in missing]
     except submitit.core.utils.FailedJobError:
         raise
     except submitit.core.utils.UncompletedJobError:

@@ -106,7 +106,7 @@ def _lock(handle: int, folder: Path) -> None:
     except OSError as error:
         if error.errno not in _NO_LOCKS:
             raise
-        _warn(folder, error.strerror)
+        _warn(folder, error.strerror or str(error))
 
 
 def _warn(folder: Path, reason: str) -> None:

@@ -27,7 +27,7 @@ def show_table(title: str, header: Sequence[str], rows: Iterable[Sequence[str]])
     console = Console()
     if not console.is_terminal:
         for row in (header, *rows):
-            console.out("\t".join(row), highlight=False)
+            console.file.write("\t".join(row) + "\n")  # rich would make spaces of tabs
         return
     table = Table(title=title, title_justify="left", header_style="bold", show_lines=True)
     for heading in header:
