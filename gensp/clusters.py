@@ -7,6 +7,7 @@ import importlib
 import logging
 import os
 import socket
+import uuid
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
@@ -123,13 +124,10 @@ class DaskWorkers(ClusterWorkers):
     def pool(self, work: WorkOf, count: int, found: Found) -> Iterator[Pool]:
         """Futures of a client; dask tells which item a worker died of."""
         distributed = needed("distributed", "dask")
-        with self._client(count) as client:
-            # It travels once. What is scattered would be lost with its workers; what a task gives
-            # is made again.
-            sent = client.submit(_same, work, pure=False)
+        with self._client(count) as client, _carried(distributed, client, work) as key:
 
             def begin(item: str) -> Any:
-                return client.submit(_done, sent, item, pure=False)
+                return client.submit(_done_by, key, item, pure=False)
 
             def first(futures: Sequence[Any]) -> Any:
                 ended = distributed.wait(futures, return_when="FIRST_COMPLETED").done
@@ -145,6 +143,45 @@ class DaskWorkers(ClusterWorkers):
                     f"{client.scheduler.address}: compute=dask: the scheduler was lost; start it "
                     "again and run the same command to go on"
                 ) from None
+
+
+# What is carried to a worker of dask, in its process.
+_CARRIED: dict[str, WorkOf] = {}
+
+
+@contextmanager
+def _carried(distributed: Any, client: Any, work: WorkOf) -> Iterator[str]:
+    """Bring work to every worker once, and to those that take the place of dead ones; its key.
+
+    Data that were scattered would be lost with their workers, and with them what depends on them.
+    """
+    key = uuid.uuid4().hex
+
+    class Carrier(distributed.WorkerPlugin):
+        def setup(self, worker: Any) -> None:
+            _carry(key, work)
+
+        def teardown(self, worker: Any) -> None:
+            _drop(key)
+
+    client.register_plugin(Carrier(), name=key)
+    try:
+        yield key
+    finally:
+        if client.status == "running":  # else the scheduler was lost
+            client.unregister_worker_plugin(key)
+
+
+def _carry(key: str, work: WorkOf) -> None:
+    _CARRIED[key] = work
+
+
+def _drop(key: str) -> None:
+    _CARRIED.pop(key, None)
+
+
+def _done_by(key: str, item: str) -> Any:
+    return _done(_CARRIED[key], item)
 
 
 @contextmanager
@@ -217,10 +254,6 @@ class RayWorkers(ClusterWorkers):
                 ray.exceptions.NodeDiedError,
             )
             yield partial(_by_futures, begin, first, partial(_result_of_ray, ray), died)
-
-
-def _same(work: WorkOf) -> WorkOf:
-    return work
 
 
 def _done(work: WorkOf, item: str) -> Any:
