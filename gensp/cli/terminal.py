@@ -61,7 +61,7 @@ def compile_announced() -> None:
 
     first, console = not kept(), Console(stderr=True)
     if first:
-        console.print("compiling the inner loops: once, about half a minute")
+        console.print("compiling the inner loops: once, some 20 seconds")
     seconds = compile_loops()
     if first:
         console.print(f"compiled in {seconds:.1f} s")
