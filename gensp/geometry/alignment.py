@@ -5,6 +5,7 @@ from jaxtyping import Float, Int
 
 from gensp.errors import NotEmbeddable
 from gensp.geometry.mesh import Mesh
+from gensp.geometry.operators import lumped_mass
 from gensp.geometry.sphere import unit
 
 _LONGEST_STEP = 2.0
@@ -111,7 +112,5 @@ def normal_rotation(sphere: Float[np.ndarray, "n 3"], mesh: Mesh) -> Float[np.nd
     Shapes in one frame get maps in about one frame, without knowing of each other (as the program
     of Praun & Hoppe does at its end).
     """
-    areas = np.bincount(
-        mesh.faces.reshape(-1), np.repeat(mesh.face_areas / 3, 3), len(mesh.vertices)
-    )
+    areas = lumped_mass(mesh.vertices, mesh.faces)
     return best_rotation(sphere, mesh.vertex_normals, areas)

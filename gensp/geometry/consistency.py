@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from gensp.geometry.distance import ClosestPointTree
 from gensp.geometry.mesh import Mesh
+from gensp.geometry.operators import lumped_mass
 from gensp.geometry.points import SurfacePoints, sample_surface
 from gensp.geometry.sphere import sample_sphere
 from gensp.geometry.spherical_map import SphericalMap
@@ -132,8 +133,7 @@ class Coverage:
 def coverage(mesh: Mesh, surface: Mesh) -> Coverage:
     """How much of a shape a surface leaves out: area-weighted mean, and max, over its vertices."""
     distance = ClosestPointTree(surface).query(mesh.vertices).distance / np.sqrt(mesh.area)
-    third = np.repeat(mesh.face_areas / 3, 3)
-    weights = np.bincount(mesh.faces.reshape(-1), third, minlength=len(mesh.vertices))
+    weights = lumped_mass(mesh.vertices, mesh.faces)
     return Coverage(float(np.average(distance, weights=weights)), float(distance.max()))
 
 

@@ -53,8 +53,8 @@ class Schedule:
     polish
         Sizes (in vertices) at which `embed`'s polish is called on the coarse map; `"sets"`: after
         every independent set of the collapses, however late.
-    last, last_energy
-        Passes over the whole map at the end, and their energy if it is another one.
+    last
+        Passes over the whole map at the end.
     priority
         Order of the collapses, see `decimation`.
     """
@@ -65,7 +65,6 @@ class Schedule:
     passes: int = 3
     polish: tuple[int, ...] | Literal["sets"] = (400, 3000, 20_000)
     last: int = 3
-    last_energy: str | None = None
     priority: Priority = "quadric"
 
 
@@ -216,8 +215,7 @@ class _Growing:
         scale = SPHERE_AREA / Mesh(self.mesh.vertices, faces).area
         least = self.schedule.floor * SPHERE_AREA / len(faces)
         share = SPHERE_AREA / self.count
-        energy = (self.whole and self.schedule.last_energy) or self.schedule.energy
-        return scale, least, ENERGIES[energy], self.pulls * share, self.goals
+        return scale, least, ENERGIES[self.schedule.energy], self.pulls * share, self.goals
 
     def _relax(self) -> None:
         active = np.unique(self.faces())

@@ -1,5 +1,6 @@
 """Projected Newton on the sphere: the least distorted map near a start, without folds."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -9,18 +10,14 @@ from jaxtyping import Float
 
 from gensp.errors import NotEmbeddable
 from gensp.geometry.assembly import HessianPattern
-from gensp.geometry.linear import SPDSolver, factored
+from gensp.geometry.descent import minimised
 from gensp.geometry.mesh import Mesh
+from gensp.geometry.operators import lumped_mass
 from gensp.geometry.predicates import bad_faces, spherical_orientation
-from gensp.geometry.progress import tell
 from gensp.geometry.sphere import tangent_frame, unit
 from gensp.geometry.spherical_energy import SphericalEnergy, project_positive
 
 _RIDGE = 1e-6  # times the vertex areas: holds the three rotations where nothing pulls
-_SUFFICIENT = 1e-4  # Armijo: part of the predicted decrease that a step must reach
-_SHRINK = 0.5
-_MAX_HALVINGS = 50
-_DAMPINGS = (0.0, 1e-12, 1e-10, 1e-8, 1e-6, 1e-4, 1e-2)
 
 
 @runtime_checkable
@@ -121,8 +118,8 @@ def minimise_map(
     # The antipodal map turns every orientation round: minimise there, and turn back.
     side = 1.0 if spherical_orientation(u, mesh.faces)[0] > 0 else -1.0
     problem = _PulledEnergy(mesh, energy, side * (u if target is None else unit(target)), pull)
-    refined = _minimise(problem, side * u, max_iterations, (tolerance, decrement))
-    return Refined(side * refined.sphere, refined.energy, refined.iterations, refined.converged)
+    found = minimised(problem, side * u, max_iterations, relative=tolerance, absolute=decrement)
+    return Refined(side * found.positions, found.energy, found.iterations, found.converged)
 
 
 class _PulledEnergy:
@@ -135,112 +132,35 @@ class _PulledEnergy:
         target: Float[np.ndarray, "n 3"],
         pull: float | Float[np.ndarray, " n"],
     ) -> None:
-        self.mesh, self.target = mesh, target
+        self.points, self.faces, self.target = mesh.vertices, mesh.faces, target
         self.distortion = distortion
-        count = len(mesh.vertices)
-        areas = np.bincount(mesh.faces.reshape(-1), np.repeat(mesh.face_areas / 3, 3), count)
+        areas = lumped_mass(mesh.vertices, mesh.faces)
         self.spring = areas * pull
         self.ridge = areas * _RIDGE
-        self.pattern = HessianPattern(mesh.faces, count)
+        self.pattern = HessianPattern(mesh.faces, len(areas))
 
     def value(self, u: Float[np.ndarray, "n 3"]) -> float:
         away = np.sum((u - self.target) ** 2, axis=1)
         return self.distortion.energy(u) + float(self.spring @ away)
 
-    def gradient(
-        self, u: Float[np.ndarray, "n 3"], frames: Float[np.ndarray, "n 3 2"]
-    ) -> Float[np.ndarray, " k"]:
+    def derivatives(
+        self, u: Float[np.ndarray, "n 3"]
+    ) -> tuple[Float[np.ndarray, " k"], scipy.sparse.csc_matrix]:
+        """Gradient and Hessian in tangent frames, every triangle's part of it made positive."""
+        frames = tangent_frame(u)
         free = self.distortion.gradient(u) + 2 * self.spring[:, None] * (u - self.target)
-        return np.einsum("nik,ni->nk", frames, free).reshape(-1)
-
-    def hessian(
-        self, u: Float[np.ndarray, "n 3"], frames: Float[np.ndarray, "n 3 2"]
-    ) -> scipy.sparse.csc_matrix:
-        """Of the energy, every triangle's part made positive, with springs and ridge."""
+        gradient = np.einsum("nik,ni->nk", frames, free).reshape(-1)
         blocks = project_positive(self.distortion.hessians(u, frames))
         # ‖u − u⁰‖² = 2 − 2 u·u⁰ on the sphere has the Hessian 2 (u·u⁰) I.
         aligned = np.maximum(np.einsum("ni,ni->n", u, self.target), 0)
         diagonal = 2 * self.spring * aligned + self.ridge
-        return self.pattern.assemble(blocks, np.repeat(diagonal, 2))
+        return gradient, self.pattern.assemble(blocks, np.repeat(diagonal, 2))
 
+    def path(
+        self, u: Float[np.ndarray, "n 3"], step: Float[np.ndarray, " k"]
+    ) -> Callable[[float], Float[np.ndarray, "n 3"]]:
+        direction = np.einsum("nik,nk->ni", tangent_frame(u), step.reshape(-1, 2))
+        return lambda part: unit(u + part * direction)
 
-def _minimise(
-    problem: _PulledEnergy,
-    u: Float[np.ndarray, "n 3"],
-    max_iterations: int,
-    tolerances: tuple[float, float],
-) -> Refined:
-    relative, absolute = tolerances
-    value, solver = problem.value(u), None
-    for iteration in range(max_iterations):
-        tell(f"Newton step {iteration + 1} of at most {max_iterations}, {len(u)} vertices")
-        frames = tangent_frame(u)
-        try:
-            gradient, hessian = problem.gradient(u, frames), problem.hessian(u, frames)
-            step, solver = newton_step(hessian, gradient, problem.mesh.vertices, solver)
-        except np.linalg.LinAlgError:
-            # Vertices fell together, or triangles are so small that the matrix has no digits left:
-            # the map is as good as it gets.
-            return Refined(u, value, iteration, False)
-        direction = np.einsum("nik,nk->ni", frames, step.reshape(-1, 2))
-        slope = float(gradient @ step)
-        found = _line_search(problem, u, direction, value, slope)
-        if found is None:
-            return Refined(u, value, iteration, False)
-        u, value = found
-        # Half the slope is the decrease that the quadratic model promises: unlike the decrease
-        # itself it is not small merely because a fold was near.
-        if -0.5 * slope <= max(relative * value, absolute):
-            return Refined(u, value, iteration + 1, True)
-    return Refined(u, value, max_iterations, False)
-
-
-def newton_step(
-    hessian: scipy.sparse.csc_matrix,
-    gradient: Float[np.ndarray, " k"],
-    points: Float[np.ndarray, "n 3"],
-    solver: SPDSolver | None = None,
-) -> tuple[Float[np.ndarray, " k"], SPDSolver]:
-    """A direction of descent −H⁻¹g, and the solver of H's pattern for the next one.
-
-    Near a collapse entries differ by so many orders that H loses definiteness to rounding. Its
-    diagonal is then raised, by as little as makes the step one of descent.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        None does.
-    """
-    for damping in _DAMPINGS:
-        raised = scipy.sparse.diags(damping * hessian.diagonal(), format="csc")
-        try:
-            solver = factored(solver, hessian + raised if damping else hessian, points)
-            step = -solver.solve(gradient)
-        except np.linalg.LinAlgError:
-            continue
-        if gradient @ step < 0 or not gradient.any():
-            return step, solver
-    raise np.linalg.LinAlgError("no step of descent was found: the matrix has no digits left")
-
-
-def _line_search(
-    problem: _PulledEnergy,
-    u: Float[np.ndarray, "n 3"],
-    direction: Float[np.ndarray, "n 3"],
-    value: float,
-    slope: float,
-) -> tuple[Float[np.ndarray, "n 3"], float] | None:
-    """Longest halved step that decreases the energy enough and folds nothing."""
-    step = 1.0
-    for _ in range(_MAX_HALVINGS):
-        moved = unit(u + step * direction)
-        reached = problem.value(moved)
-        # The energy is a barrier only up to rounding; the exact predicate has the last word.
-        if reached <= value + _SUFFICIENT * step * slope and not _folds(problem.mesh, moved):
-            return moved, reached
-        step *= _SHRINK
-    return None
-
-
-def _folds(mesh: Mesh, u: Float[np.ndarray, "n 3"]) -> bool:
-    return bool((spherical_orientation(u, mesh.faces) <= 0).any())
+    def folds(self, u: Float[np.ndarray, "n 3"]) -> bool:
+        return bool((spherical_orientation(u, self.faces) <= 0).any())

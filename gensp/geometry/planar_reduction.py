@@ -6,6 +6,7 @@ the removed triangle becomes the one around the pole. Planar triangles stay free
 images between great circles need not be.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,14 +16,13 @@ from jaxtyping import Float, Int
 from gensp.errors import NotEmbeddable
 from gensp.geometry.assembly import HessianPattern
 from gensp.geometry.composed_dirichlet import ComposedDirichlet
-from gensp.geometry.linear import SPDSolver, factored
+from gensp.geometry.descent import minimised
+from gensp.geometry.linear import SPDSolver
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.operators import adjacency, lumped_mass
 from gensp.geometry.spherical_energy import project_positive
 
 _RIDGE = 1e-6  # times the vertex areas on the sphere: holds the turns about the pole
-_SUFFICIENT = 1e-4  # Armijo
-_MAX_HALVINGS = 50
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,8 @@ def planar_map(
             f"{mesh.name}: the planar embedding inside face {outer} crowds triangles until they "
             "fold; positive areas are required; remove another face"
         )
-    return _minimise(energy, rest, z, max_iterations, tolerance)
+    found = minimised(_ComposedEnergy(rest, energy), z, max_iterations, relative=tolerance)
+    return PlanarMap(found.positions, found.energy, found.iterations, found.converged)
 
 
 def removable_face(mesh: Mesh, attempts: int = 30) -> int:
@@ -145,51 +146,28 @@ def _started(mesh: Mesh, outer: int) -> tuple[Mesh, ComposedDirichlet, Float[np.
     return rest, ComposedDirichlet(rest), z
 
 
-def _minimise(
-    energy: ComposedDirichlet,
-    mesh: Mesh,
-    z: Float[np.ndarray, "n 2"],
-    max_iterations: int,
-    tolerance: float,
-) -> PlanarMap:
-    pattern = HessianPattern(mesh.faces, len(z))
-    areas = lumped_mass(mesh.vertices, mesh.faces)
-    value, solver = energy.energy(z), None
-    for iteration in range(max_iterations):
-        gradient, blocks = energy.derivatives(z)
-        ridge = _RIDGE * areas * 4 / (1 + np.sum(z**2, axis=1)) ** 2
-        hessian = pattern.assemble(project_positive(blocks), np.repeat(ridge, 2))
-        try:
-            solver = factored(solver, hessian, mesh.vertices)
-            step = -solver.solve(gradient)
-        except np.linalg.LinAlgError:
-            return PlanarMap(z, value, iteration, False)
-        slope = float(gradient @ step)
-        if slope >= 0:
-            # Crowded triangles have left the matrix no digits: this is no descent.
-            return PlanarMap(z, value, iteration, False)
-        found = _line_search(energy, z, step.reshape(-1, 2), value, slope)
-        if found is None:
-            return PlanarMap(z, value, iteration, False)
-        z, value = found
-        if -0.5 * slope <= tolerance * value:
-            return PlanarMap(z, value, iteration + 1, True)
-    return PlanarMap(z, value, max_iterations, False)
+class _ComposedEnergy:
+    """The energy of a planar map, with a ridge in its Hessian."""
 
+    def __init__(self, mesh: Mesh, energy: ComposedDirichlet) -> None:
+        self.points, self.energy = mesh.vertices, energy
+        self.pattern = HessianPattern(mesh.faces, len(mesh.vertices))
+        self.ridge = _RIDGE * lumped_mass(mesh.vertices, mesh.faces)
 
-def _line_search(
-    energy: ComposedDirichlet,
-    z: Float[np.ndarray, "n 2"],
-    direction: Float[np.ndarray, "n 2"],
-    value: float,
-    slope: float,
-) -> tuple[Float[np.ndarray, "n 2"], float] | None:
-    """Longest halved step that decreases the energy enough; a fold is of infinite energy."""
-    step = 1.0
-    for _ in range(_MAX_HALVINGS):
-        moved = z + step * direction
-        reached = energy.energy(moved)
-        if reached <= value + _SUFFICIENT * step * slope:
-            return moved, reached
-        step /= 2
-    return None
+    def value(self, z: Float[np.ndarray, "n 2"]) -> float:
+        return self.energy.energy(z)
+
+    def derivatives(
+        self, z: Float[np.ndarray, "n 2"]
+    ) -> tuple[Float[np.ndarray, " k"], sp.csc_matrix]:
+        gradient, blocks = self.energy.derivatives(z)
+        ridge = self.ridge * 4 / (1 + np.sum(z**2, axis=1)) ** 2
+        return gradient, self.pattern.assemble(project_positive(blocks), np.repeat(ridge, 2))
+
+    def path(
+        self, z: Float[np.ndarray, "n 2"], step: Float[np.ndarray, " k"]
+    ) -> Callable[[float], Float[np.ndarray, "n 2"]]:
+        return lambda part: z + part * step.reshape(-1, 2)
+
+    def folds(self, z: Float[np.ndarray, "n 2"]) -> bool:
+        return False

@@ -4,9 +4,10 @@ import scipy.sparse
 
 from gensp.errors import NotEmbeddable
 from gensp.geometry.alignment import ball_inversion, best_rotation
+from gensp.geometry.descent import newton_step
 from gensp.geometry.distortion import distortion
 from gensp.geometry.mesh import normalize
-from gensp.geometry.newton import minimise_map, newton_step, refine_map
+from gensp.geometry.newton import minimise_map, refine_map
 from gensp.geometry.predicates import bad_faces, map_degree
 from gensp.geometry.sphere import icosphere, unit
 from gensp.geometry.spherical_energy import SphericalEnergy
