@@ -17,12 +17,11 @@ _REMEDIES = {
     "refine=none": "try another --method, or --register with a model",
     "write it again with stage=parameterize": "write it with gensp parameterize",
 }
-_USAGE = typer.BadParameter.__mro__[2]  # the base of all that the parser of the words complains of
 
 
 def fault_line(error: Exception) -> str | None:
     """One line for a fault of the input, None for what is ours."""
-    if isinstance(error, _USAGE):
+    if isinstance(error, typer.TyperException):  # all that the parser of the words complains of
         context = getattr(error, "ctx", None)
         command = context.command_path if context else "gensp"
         said = error.format_message().strip().rstrip(".").replace("\n", " ")
