@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from gensp.geometry.mesh import Mesh, load_mesh, save_mesh
-from gensp.geometry.spherical_map import load_map
+from gensp.geometry.sphere import unit
+from gensp.geometry.spherical_map import SphericalMap, load_map, save_map
 from gensp.models import AnchoredGenerator, PointNet2Encoder, save_model
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -57,3 +58,32 @@ def test_morph_two_shapes(tmp_path, monkeypatch, bumpy: Mesh, ellipsoid: Mesh, m
     assert np.abs(first - last).max() > 0
     np.testing.assert_allclose(middle, (first + last) / 2, atol=0.1)
     assert (tmp_path / "out" / "bumpy-ellipsoid.png").exists()
+
+
+# What Register does with its output, as its README tells: the source, its sphere turned.
+REGISTER = """
+from pathlib import Path
+from gensp.geometry.ply import ply_bytes
+from gensp.geometry.mesh import load_mesh
+from gensp.geometry.sphere_files import read_sphere_positions
+import numpy as np
+assert sys.argv[1] == "--in" and sys.argv[4] == "--out" and Path(sys.argv[3]).is_file()
+mesh = load_mesh(sys.argv[2])
+sphere = read_sphere_positions(Path(sys.argv[2]), len(mesh.vertices))
+rows = np.hstack([mesh.vertices, sphere[:, [1, 2, 0]]])
+names = ("x", "y", "z", "px", "py", "pz")
+Path(sys.argv[5]).write_bytes(ply_bytes(names, rows, mesh.faces))
+"""
+
+
+def test_register_by_program(tmp_path, monkeypatch, capsys, bumpy: Mesh):
+    sphere = unit(bumpy.vertices)
+    for name, positions in (("a", sphere), ("b", sphere[:, [1, 2, 0]])):
+        save_map(SphericalMap(positions, bumpy.vertices, bumpy.faces, name), tmp_path)
+    program = tmp_path / "Register"
+    root = str(EXAMPLES.parent)
+    program.write_text(f"#!{sys.executable}\nimport sys\nsys.path.insert(0, {root!r})\n{REGISTER}")
+    program.chmod(0o755)
+    words = (tmp_path / "a.ply", tmp_path / "b.ply", "--program", program)
+    run_example(monkeypatch, "register_by_program.py", *words)
+    assert "apart by 0.000 degrees" in capsys.readouterr().out
