@@ -6,6 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
+from omegaconf import DictConfig
 
 from gensp.errors import ExternalToolFailed, UnreadableMesh
 from gensp.geometry.mesh import load_mesh
@@ -13,6 +16,8 @@ from gensp.geometry.sphere import unit
 from gensp.geometry.sphere_files import read_sphere_positions, write_for_program
 from gensp.geometry.spherical_map import SphericalMap, save_map
 from gensp.methods.external import External, Step
+
+CONF = Path(__file__).parents[1] / "conf"
 
 # Every program here sends a vertex to its own direction.
 PLY = """
@@ -53,6 +58,42 @@ for words in lines:
 """
 COPY = "print(open(sys.argv[1]).read(), end='')"
 
+# Stand-ins for every program that conf/method/external.yaml names. They take the arguments of the
+# command line, and those of a chain insist on what the one before left.
+SIMPLIFY = """
+mesh, *options = sys.argv[1:]
+assert options[:3] == ["-minqem", "-vsgeom", "-dihallow"] and options[-1] == "-simplify"
+named = dict(zip(options[3:-1:2], options[4:-1:2]))
+open(named["-original_indices"], "w").write("order")
+open(named["-prog"], "w").write("first\\nlast\\n")
+assert "Vertex" in open(mesh).read()
+print("base")
+"""
+REVERSE = "print(''.join(reversed(open(sys.argv[1]).readlines())), end='')"
+FILTER = """
+named = dict(zip(sys.argv[1:-1:2], sys.argv[2:-1:2]))
+assert open(named["-fbase"]).read() == "base\\n" and sys.argv[-1] == "-pm"
+assert open(named["-fprog"]).read() == "last\\nfirst\\n"
+print("progressive")
+"""
+PARAMETERIZE = """
+mesh, *options = sys.argv[1:]
+named = dict(zip(options[::2], options[1::2]))
+assert open(mesh).read() == "progressive\\n" and named["-to"] == "original_mesh"
+assert open(named["-original_indices"]).read() == "order"
+sys.argv[1] = named["-original_mesh"]
+"""
+STANDINS = {
+    "SphereMap": {"SphereMap": PLY},
+    "SphereParam": {
+        "MeshSimplify": SIMPLIFY,
+        "reverselines": REVERSE,
+        "Filterprog": FILTER,
+        "SphereParam": PARAMETERIZE + M,
+    },
+    "SphereEmbedding": {"SphereEmbedding": OBJ},
+}
+
 
 @pytest.fixture
 def program(tmp_path):
@@ -79,6 +120,26 @@ def test_ply_program_gives_its_positions(program, bumpy):
     assert map.name == "bumpy"
     assert map.diagnostics["bad_faces"] == 0
     assert map.diagnostics["seconds"] > 0
+
+
+def configured(*words: str) -> DictConfig:
+    """The method as its configuration has it."""
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        return compose("config", ["stage=parameterize", "method=external", *words]).method
+
+
+def test_every_tool_of_the_configuration_has_a_stand_in():
+    assert set(configured().tools) == set(STANDINS)
+
+
+@pytest.mark.parametrize("tool", STANDINS)
+def test_command_lines_of_the_configuration(program, bumpy, tool):
+    for name, body in STANDINS[tool].items():
+        folder = program(name, body)
+    method = instantiate(configured(f"method.tool={tool}", f"method.programs={folder}").object)
+    map = method()(bumpy)
+    np.testing.assert_allclose(map.sphere, unit(bumpy.vertices), atol=2e-6)
+    assert map.diagnostics["bad_faces"] == 0
 
 
 def test_obj_program_gives_its_positions(program, bumpy):
