@@ -125,6 +125,14 @@ def test_each_method_is_the_best_by_its_own_energy(limbed):
         assert min(values, key=values.__getitem__) == name, (name, values)
 
 
+def test_barrier_of_smat_is_that_of_its_energy(limbed):
+    shape = normalize(limbed)
+    soft, hard = (smat(barrier=weight)(shape).sphere for weight in (1.0, 1000.0))
+    for weight, least, other in ((1.0, soft, hard), (1000.0, hard, soft)):
+        energy = SmatEnergy(shape, barrier=weight)
+        assert energy.energy(least) < energy.energy(other)
+
+
 def test_sets_of_vertices_lead_to_the_minimum_that_newton_finds_elsewhere(bumpy):
     """From the Dirichlet map, Newton on smat's energy ends where smat does."""
     shape = normalize(bumpy)

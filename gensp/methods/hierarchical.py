@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
 
@@ -81,19 +81,24 @@ class SmatPolish:
         Number of vertices that tells few from many.
     decrement
         Of `newton.minimise_map`.
+    barrier, angle, area
+        Of `smat_energy.SmatEnergy`.
     """
 
     few: int = 20
     many: int = 10
     size: int = 1000
     decrement: float = 10.0
+    barrier: float = 1.0
+    angle: float = 100.0
+    area: float = 1.0
 
     def __call__(self, mesh: Mesh, start: Float[np.ndarray, "n 3"]) -> Refined:
         """The refined map of a mesh."""
         return minimise_map(
             mesh,
             start,
-            SmatEnergy(mesh),
+            SmatEnergy(mesh, barrier=self.barrier, angle=self.angle, area=self.area),
             max_iterations=self.few if len(mesh.vertices) < self.size else self.many,
             tolerance=0.0,
             decrement=self.decrement,
@@ -208,7 +213,7 @@ def ahsp() -> Hierarchical:
     )
 
 
-def smat() -> Hierarchical:
+def smat(*, barrier: float = 1.0, angle: float = 100.0, area: float = 1.0) -> Hierarchical:
     """Barrier, angles and areas by Newton on every level (Schmidt et al. 2023).
 
     Energy, order of the collapses, independent sets and Newton's schedule are the authors'. Ours
@@ -216,14 +221,21 @@ def smat() -> Hierarchical:
     places; here it enters in the middle of its ring's kernel and is relaxed, with its ring, by the
     symmetric Dirichlet energy over all triangles alike, which is compiled already and sees both
     terms; Newton on all vertices follows at once and decides.
+
+    Parameters
+    ----------
+    barrier, angle, area
+        Weights of the energy. Where these fail, the authors' program begins anew with a barrier of
+        1000, and then without angles and areas.
     """
+    polish = SmatPolish(barrier=barrier, angle=angle, area=area)
     return Hierarchical(
         name="smat",
         schedule=Schedule(
             energy="dirichlet", floor=1e6, passes=1, polish="sets", last=1, priority="smat"
         ),
-        coarse=SmatPolish(),
-        fine=SmatPolish(few=50, many=50),
+        coarse=polish,
+        fine=replace(polish, few=50, many=50),
     )
 
 
