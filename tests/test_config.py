@@ -96,7 +96,7 @@ def test_maps(stage: str, method: str, fit: str, refine: str) -> None:
 
 @pytest.mark.parametrize("shapes", choices("shapes"))
 def test_collections(shapes: str) -> None:
-    named = OmegaConf.load(CONF / "shapes" / f"{shapes}.yaml")
+    named = composed(f"shapes={shapes}").shapes
     root = ["shapes.root=meshes"] if OmegaConf.is_missing(named, "root") else []
     check(composed("stage=augment", f"shapes={shapes}", *root))
 

@@ -46,13 +46,15 @@ def load_keypoint_records(path: Path | str) -> dict[str, Record]:
 
 # Kept: every item arrives in a worker with a collection of its own.
 @lru_cache(maxsize=1)
-def read_annotations(root: Path) -> dict[str, Record]:
-    """KeypointNet's records of all categories, <class id>_<model id> → record.
+def read_annotations(root: Path) -> tuple[dict[str, Record], dict[str, str]]:
+    """KeypointNet's records of all categories, and what is wrong with those left out.
+
+    Both by <class id>_<model id>.
 
     Raises
     ------
     MissingData
-        The folder has no annotations.
+        The folder has no annotations, or a file of them has no record that can be read.
     """
     files = sorted((root / "annotations").glob("*.json"))
     if not files:
@@ -60,8 +62,33 @@ def read_annotations(root: Path) -> dict[str, Record]:
             f"{root}: has no annotations/*.json; KeypointNet's folder is required; set "
             "shapes.keypoints=FOLDER"
         )
-    records = [record for path in files for record in load_keypoint_records(path).values()]
-    return {f"{record.get('class_id')}_{record['model_id']}": record for record in records}
+    records: dict[str, Record] = {}
+    faults: dict[str, str] = {}
+    for path in files:
+        try:
+            listed = read_json(path)
+            found = {_key(record): _fault(record) for record in listed}
+        except (OSError, DamagedFile, *_FOREIGN):
+            found = {}
+        if not any(fault is None for fault in found.values()):
+            load_keypoint_records(path)  # tells what is wrong with the file or its first record
+        faults |= {id: fault for id, fault in found.items() if fault is not None}
+        records |= {_key(record): record for record in listed if found[_key(record)] is None}
+    return records, faults
+
+
+def _key(record: Any) -> str:
+    known = record if isinstance(record, Mapping) else {}
+    return f"{known.get('class_id')}_{known.get('model_id')}"
+
+
+def _fault(record: Record) -> str | None:
+    """What makes a record unreadable; None where nothing does."""
+    try:
+        _model(record)
+    except _FOREIGN as error:
+        return f"{type(error).__name__}: {error}"
+    return None
 
 
 def _model(record: Record) -> str:

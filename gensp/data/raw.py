@@ -55,7 +55,7 @@ class RawCollection(Protocol):
         ...
 
     def splits(self, ids: Sequence[str]) -> dict[str, str]:
-        """Split of each of the shapes that turned out usable."""
+        """Split of each of the shapes that turned out usable; those left out are not used."""
         ...
 
 
@@ -91,12 +91,12 @@ def require_rule(stage: str, on_bad: str | None) -> None:
 
 
 def require_apart(out: str | None, root: str | None) -> None:
-    """The folder that stage=prepare writes, and may clear, does not hold its raw meshes.
+    """The folder that stage=prepare writes, and may clear, and that of its raw meshes are apart.
 
     Raises
     ------
     Unsupported
-        It does.
+        One holds the other.
     """
     if out is None or root is None:
         return
@@ -105,4 +105,9 @@ def require_apart(out: str | None, root: str | None) -> None:
         raise Unsupported(
             f"prepare.out={out}: holds shapes.root={root}; a folder of its own is required, "
             "because it may be cleared; name one that does not exist yet"
+        )
+    if raw in place.parents:
+        raise Unsupported(
+            f"prepare.out={out}: is within shapes.root={root}; a folder beside it is required, "
+            "because what is written would be read as raw meshes the next time; name another one"
         )

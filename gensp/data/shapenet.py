@@ -5,7 +5,8 @@ You et al., KeypointNet, 2020.
 """
 
 import hashlib
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -40,14 +41,18 @@ class ShapeNet:
     limit
         At most so many models, drawn by `split_seed`; None for all.
     split_file
-        ShapeNet's all.csv (modelId, split), or KeypointNet's folder splits/; models that it does
-        not name are not used. Without it a share `test_fraction` of the usable shapes is held
-        out, drawn by `split_seed`.
+        ShapeNet's all.csv (synsetId, modelId, split), or KeypointNet's folder splits/; models
+        that it does not name are not used. Without it a share `test_fraction` of the usable
+        models is held out, drawn by `split_seed`; a model of several synsets is on one side.
+    train, test
+        So many of the usable shapes of either side, drawn by `split_seed`; with None all. Where
+        no file tells the sides, both are drawn, and a model is taken once.
 
     Raises
     ------
     MissingData
-        The tree, a synset, the annotations or the split file are missing.
+        The tree, a synset, the annotations or the split file are missing; of `splits`: there are
+        fewer usable shapes than asked for.
     Unsupported
         A stage other than prepare asks for it, or `annotated` without keypoints.
     """
@@ -63,6 +68,8 @@ class ShapeNet:
         limit: int | None = None,
         split_file: Path | str | None = None,
         test_fraction: float = 0.1,
+        train: int | None = None,
+        test: int | None = None,
         split_seed: int = 0,
         up: str = "y",
         on_bad: str = "error",
@@ -73,12 +80,14 @@ class ShapeNet:
         self.name, self.up, self.root = name, up, Path(root)
         self.keypoints = None if keypoints is None else Path(keypoints)
         self.test_fraction, self.split_seed = test_fraction, split_seed
+        self._counts = {"train": train, "test": test}
         if annotated and keypoints is None:
             raise Unsupported(
                 "shapes.annotated=true: no annotations were given; KeypointNet's folder is "
                 "required; add shapes.keypoints=FOLDER"
             )
         self._categories = self._named(synsets)
+        self._tell_left_out()
         self._listed = None if split_file is None else read_splits(Path(split_file))
         self._ids = self._models(annotated, limit)
 
@@ -98,7 +107,10 @@ class ShapeNet:
     def fingerprint(self) -> str:
         """Changes with any model in use, its keypoints or the split."""
         found = [(id, self.digest(id)) for id in self._ids]
-        return content_hash(found, self._listed, self.test_fraction, self.split_seed)
+        cut = {side: count for side, count in self._counts.items() if count is not None}
+        return content_hash(
+            found, self._listed, self.test_fraction, self.split_seed, *([cut] * bool(cut))
+        )
 
     def columns(self, id: str) -> dict[str, str]:
         """Category, source and licence."""
@@ -120,11 +132,38 @@ class ShapeNet:
         return {**kept, "_ids": [], "_listed": None}
 
     def splits(self, ids: Sequence[str]) -> dict[str, str]:
-        """Splits of the usable models, from the file or drawn among them."""
+        """Splits of the usable models, from the file or drawn; without those that are too many."""
+        found = self._sides(ids)
+        counts = {side: count for side, count in self._counts.items() if count is not None}
+        there = {side: [id for id in found if found[id] == side] for side in counts}
+        for side, count in counts.items():
+            if count > len(there[side]):
+                raise MissingData(
+                    f"{self.root}: {len(there[side])} usable shapes can be {side} shapes; "
+                    f"shapes.{side}={count} are required; ask for fewer, or raise shapes.limit"
+                )
+        taken = {id for side, count in counts.items() for id in self._drawn(there[side], count)}
+        return {id: side for id, side in found.items() if side not in counts or id in taken}
+
+    def _sides(self, ids: Sequence[str]) -> dict[str, str]:
         if self._listed is not None:
-            return {id: self._listed[id.split("_", 1)[1]] for id in ids}
-        test = held_out(len(ids), self.test_fraction, self.split_seed) if ids else set()
-        return {id: "test" if place in test else "train" for place, id in enumerate(ids)}
+            return {id: self._listed[id] for id in ids}
+        first: dict[str, str] = {}
+        for id in ids:
+            first.setdefault(_model(id), id)
+        models, (train, test) = list(first), self._counts.values()
+        if train is None or test is None:
+            places = held_out(len(models), self.test_fraction, self.split_seed) if ids else set()
+            out = {models[place] for place in places}
+            return {id: "test" if _model(id) in out else "train" for id in ids}
+        drawn = [first[model] for model in self._drawn(models, train + test)]
+        out = set(self._drawn(drawn, test))
+        return {id: "test" if id in out else "train" for id in drawn}
+
+    def _drawn(self, found: Sequence[str], count: int) -> list[str]:
+        """So many of them, drawn by the seed, in their order."""
+        places = np.random.default_rng(self.split_seed).permutation(len(found))[:count]
+        return [found[place] for place in np.sort(places)]
 
     def _path(self, id: str) -> Path:
         return self.root.joinpath(*id.split("_", 1), "models", "model_normalized.obj")
@@ -154,8 +193,9 @@ class ShapeNet:
             f"{synset}_{path.name}"
             for synset in self._categories
             for path in sorted((self.root / synset).iterdir())
-            if path.is_dir() and (self._listed is None or path.name in self._listed)
+            if path.is_dir()
         ]
+        found = [id for id in found if self._listed is None or id in self._listed]
         found = [id for id in found if not annotated or id in self._records]
         if not found:
             raise MissingData(
@@ -165,44 +205,73 @@ class ShapeNet:
             )
         if limit is None or limit >= len(found):
             return found
-        drawn = np.random.default_rng(self.split_seed).permutation(len(found))[:limit]
-        return [found[place] for place in np.sort(drawn)]
+        return self._drawn(found, limit)
 
     @property
     def _records(self) -> dict[str, Record]:
-        return {} if self.keypoints is None else read_annotations(self.keypoints)
+        return {} if self.keypoints is None else read_annotations(self.keypoints)[0]
+
+    def _tell_left_out(self) -> None:
+        """Warn of the models whose annotations cannot be read."""
+        faults = {} if self.keypoints is None else read_annotations(self.keypoints)[1]
+        if faults:
+            listed = "; ".join(f"{id} ({why})" for id, why in faults.items())
+            warnings.warn(
+                f"{self.keypoints}: {len(faults)} annotations cannot be read and are left out: "
+                f"{listed}; mend or remove them",
+                stacklevel=3,
+            )
+
+
+def _model(id: str) -> str:
+    return id.split("_", 1)[1]
 
 
 def read_splits(path: Path) -> dict[str, str]:
-    """Model id → split, from ShapeNet's all.csv or KeypointNet's folder of train, val, test.txt.
+    """<synset id>_<model id> → split, from all.csv or from a folder of train, val, test.txt.
 
     Raises
     ------
     MissingData
-        It is neither of them.
+        It is neither of them, or tells two splits of one model.
     """
-    if path.is_dir():
-        lists = {split: path / f"{split}.txt" for split in SPLITS}
-        return {
-            line.strip().split("-", 1)[-1]: split
-            for split, file in lists.items()
-            if file.is_file()
-            for line in file.read_text(encoding="utf-8").splitlines()
-            if line.strip()
-        }
+    listed = _in_folder(path) if path.is_dir() else _in_table(path)
+    splits: dict[str, str] = {}
+    for id, split in listed:
+        if splits.setdefault(id, split) != split:
+            raise MissingData(
+                f"{path}: {id} is in {splits[id]} and in {split}; one split for every model of a "
+                "synset is required; correct the list"
+            )
+    return splits
+
+
+def _in_folder(path: Path) -> Iterator[tuple[str, str]]:
+    for split in SPLITS:
+        file = path / f"{split}.txt"
+        lines = file.read_text(encoding="utf-8").split() if file.is_file() else []
+        for line in lines:
+            if "-" not in line:
+                raise MissingData(
+                    f"{file}: has the line '{line}'; <synset id>-<model id> is required; mend it"
+                )
+            yield line.replace("-", "_", 1), split
+
+
+def _in_table(path: Path) -> Iterator[tuple[str, str]]:
     rows = _rows(path)
-    if not rows or not {"modelId", "split"} <= rows[0].keys():
+    if not rows or not {"synsetId", "modelId", "split"} <= rows[0].keys():
         raise MissingData(
-            f"{path}: is no split list; the columns modelId and split are required, or a folder "
-            "with train.txt, val.txt and test.txt; correct shapes.split_file"
+            f"{path}: is no split list; the columns synsetId, modelId and split are required, or "
+            "a folder with train.txt, val.txt and test.txt; correct shapes.split_file"
         )
-    wrong = {row["split"] for row in rows} - set(SPLITS)
-    if wrong:
-        raise MissingData(
-            f"{path}: has the split '{min(map(str, wrong))}'; one of {', '.join(SPLITS)} is "
-            "required; correct the column"
-        )
-    return {row["modelId"]: row["split"] for row in rows}
+    for row in rows:
+        if row["split"] not in SPLITS:
+            raise MissingData(
+                f"{path}: has the split '{row['split']}'; one of {', '.join(SPLITS)} is "
+                "required; correct the column"
+            )
+        yield f"{row['synsetId']}_{row['modelId']}", row["split"]
 
 
 def _rows(path: Path) -> list[dict[str, str]]:

@@ -58,10 +58,9 @@ def extract_surface(
     NotGenusZero
         The Euler characteristic is not 2.
     """
-    grid = _Grid.over(_corners(bounds), resolution)
-    with torch.no_grad():
-        values = _sampled(_evaluator(field, grid, chunk, device, dtype), grid)
-    mesh = _largest_component(_marched(values.numpy(), grid, name), grid)
+    grid = Grid.over(_corners(bounds), resolution)
+    values = sampled(field, grid, chunk=chunk, device=device, dtype=dtype)
+    mesh = _largest_component(_marched(values, grid, name), grid)
     if require_genus_zero:
         _require_euler_of_sphere(mesh)
     return mesh if vertices is None else _decimated(mesh, vertices)
@@ -81,7 +80,7 @@ def _require_euler_of_sphere(mesh: Mesh) -> None:
 
 
 @dataclass(frozen=True)
-class _Grid:
+class Grid:
     """A box of cubic cells: lower corner, cell side, cells per axis, number of halvings."""
 
     lower: Float[np.ndarray, " 3"]
@@ -90,7 +89,7 @@ class _Grid:
     halvings: int
 
     @classmethod
-    def over(cls, corners: Float[np.ndarray, "2 3"], resolution: int) -> "_Grid":
+    def over(cls, corners: Float[np.ndarray, "2 3"], resolution: int) -> "Grid":
         """A box around two corners with about `resolution` cells along its longest side."""
         sides = corners[1] - corners[0]
         halvings = max(floor(log2(resolution / COARSEST)), 0)
@@ -100,9 +99,23 @@ class _Grid:
         lower = corners.mean(axis=0) - cell * counts / 2
         return cls(lower, float(cell), (int(counts[0]), int(counts[1]), int(counts[2])), halvings)
 
+    def points(self, indices: Int[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 3"]:
+        """Where the corners of cells with these indices lie."""
+        return self.lower + self.cell * indices
+
+    def cells_of(self, points: Float[np.ndarray, "k 3"]) -> Int[np.ndarray, "k 3"]:
+        """Indices of the cells that points lie in, or of the nearest ones."""
+        found = np.floor((points - self.lower) / self.cell).astype(np.int64)
+        return np.clip(found, 0, np.array(self.cells) - 1)
+
+    def nearest(self, points: Float[np.ndarray, "k 3"]) -> Int[np.ndarray, "k 3"]:
+        """Indices of the nearest corners of cells."""
+        found = np.rint((points - self.lower) / self.cell).astype(np.int64)
+        return np.clip(found, 0, self.cells)
+
 
 def _evaluator(
-    field: Field, grid: _Grid, chunk: int, device: torch.device | str, dtype: torch.dtype
+    field: Field, grid: Grid, chunk: int, device: torch.device | str, dtype: torch.dtype
 ) -> Field:
     """The field at grid points, given by their indices, a chunk at a time."""
 
@@ -114,8 +127,20 @@ def _evaluator(
     return evaluate
 
 
-def _sampled(evaluate: Callable[[Tensor], Tensor], grid: _Grid) -> Float[Tensor, "a b c"]:
-    """Values on the finest grid, evaluated near the surface and interpolated elsewhere."""
+def sampled(
+    field: Field,
+    grid: Grid,
+    *,
+    chunk: int = 65_536,
+    device: torch.device | str = "cpu",
+    dtype: torch.dtype = torch.float64,
+) -> Float[np.ndarray, "a b c"]:
+    """Values on the finest grid, evaluated where they are small and interpolated elsewhere."""
+    with torch.no_grad():
+        return _refined(_evaluator(field, grid, chunk, device, dtype), grid).numpy()
+
+
+def _refined(evaluate: Callable[[Tensor], Tensor], grid: Grid) -> Float[Tensor, "a b c"]:
     step = 2**grid.halvings
     shape = [count // step + 1 for count in grid.cells]
     values = evaluate(step * torch.ones(shape).nonzero()).reshape(shape)
@@ -153,7 +178,7 @@ def _corners_of_halves(active: Bool[Tensor, "a b c"]) -> Bool[Tensor, "i j k"]:
     return functional.max_pool3d(fine, kernel_size=2, stride=1, padding=1)[0, 0] > 0
 
 
-def _marched(values: Float[np.ndarray, "a b c"], grid: _Grid, name: str) -> Mesh:
+def _marched(values: Float[np.ndarray, "a b c"], grid: Grid, name: str) -> Mesh:
     # A vertex exactly on a grid point would give triangles without area.
     values = np.where(np.abs(values) < 1e-4 * grid.cell, 1e-4 * grid.cell, values)
     if not np.isfinite(values).all() or (values > 0).all() or (values < 0).all():
@@ -169,7 +194,7 @@ def _marched(values: Float[np.ndarray, "a b c"], grid: _Grid, name: str) -> Mesh
     return Mesh(positions, faces.astype(np.int64), name)
 
 
-def _largest_component(mesh: Mesh, grid: _Grid) -> Mesh:
+def _largest_component(mesh: Mesh, grid: Grid) -> Mesh:
     _, label = igl.facet_components(mesh.faces)
     area = np.bincount(np.asarray(label).reshape(-1), weights=mesh.face_areas)
     kept = mesh.faces[np.asarray(label).reshape(-1) == area.argmax()]

@@ -60,7 +60,7 @@ class Preparation:
     ----------
     repair
         Kinds of mending for a mesh that is not sound: of `gensp.geometry.repair.STEPS`, and
-        "solid", the outer surface by winding numbers, for what the others leave unsound.
+        "solid", the outer surface on a grid, for what the others leave unsound.
     weld, largest_hole
         See `gensp.geometry.repair.repair`.
     solid
@@ -130,7 +130,7 @@ class Preparation:
 
         found = solid_surface(mesh, **self.solid)
         closed = [f"handles closed by a ball of {found.radius:g} diagonals"] * (found.radius > 0)
-        return found.mesh, ["outer surface by winding numbers", *closed]
+        return found.mesh, ["outer surface", *closed]
 
     def _sized(self, mesh: Mesh, generator: np.random.Generator) -> tuple[Mesh, list[str]]:
         before = len(mesh.vertices)

@@ -1,22 +1,24 @@
-"""A closed surface around anything that has an inside: soups, several parts, handles (torch).
+"""A closed surface around anything: soups, several parts, turned faces, sheets, handles (torch).
 
-What is inside is decided by winding numbers (Barill et al. 2018, "Fast winding numbers for soups
-and clouds"); handles are closed by growing the solid and shrinking it again (morphological
-closing, Serra 1982), which fills whatever a ball of that radius cannot enter.
+What is inside is decided by a flood from outside and by winding numbers (Barill et al. 2018,
+"Fast winding numbers for soups and clouds"), see `gensp.geometry.enclosure`; handles are closed by
+growing the solid and shrinking it again (morphological closing, Serra 1982), which fills whatever
+a ball of that radius cannot enter.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
-import igl
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from gensp.errors import DegenerateMesh, EmptyLevelSet, NotGenusZero
-from gensp.geometry.distance import ClosestPointTree
-from gensp.geometry.isosurface import extract_surface
+from gensp.geometry.distance import ClosestPointTree, closest_point
+from gensp.geometry.enclosure import Enclosure, enclosure
+from gensp.geometry.isosurface import Grid, extract_surface
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.progress import tell
 from gensp.geometry.repair import bounding_diagonal
@@ -46,38 +48,68 @@ def solid_surface(
     resolution: int = 128,
     vertices: int | None = 5000,
     largest_radius: float = RADII[-1],
+    largest_distance: float = 0.03,
 ) -> Solid:
-    """Outer surface of what a mesh encloses, without handles, by winding-number remeshing.
+    """Outer surface of what a mesh encloses, without handles, on a grid.
+
+    Cavities are closed; what is thinner than a cell is thickened to about two.
 
     Parameters
     ----------
     mesh
         Finite vertices and valid faces; nothing else is required.
     resolution
-        Cells along the longest side of the grid; thinner parts are lost.
+        Cells along the longest side of the grid.
     vertices
         About so many are kept by edge collapses; None keeps all.
     largest_radius
         Largest radius of the closing, in diagonals; 0 refuses what has handles.
+    largest_distance
+        How far, in diagonals, the surface may be from what is seen of the mesh from outside. A
+        closing may move it further by its radius.
 
     Raises
     ------
     NotGenusZero
         Handles are left at the largest radius.
     DegenerateMesh
-        The surface has no area.
+        The mesh has no area, or the surface lacks a part of what is seen of it.
     EmptyLevelSet
         Nothing is enclosed.
     """
     if not mesh.area > 0:
         raise DegenerateMesh(f"{mesh.name}: has no area; a surface is required; export it again")
+    fine = _Sampled.of(mesh, resolution)
+    found = _without_handles(mesh, fine, vertices, largest_radius)
+    _require_near(found, fine.enclosed.seen, mesh, largest_distance)
+    return found
+
+
+@dataclass(frozen=True)
+class _Sampled:
+    """What a mesh encloses on a grid of so many cells."""
+
+    enclosed: Enclosure
+    resolution: int
+
+    @classmethod
+    def of(cls, mesh: Mesh, resolution: int) -> "_Sampled":
+        tell(f"flood of a grid of {resolution} cells")
+        return cls(enclosure(mesh, Grid.over(_box(mesh, resolution, 0.0), resolution)), resolution)
+
+
+def _without_handles(
+    mesh: Mesh, fine: _Sampled, vertices: int | None, largest_radius: float
+) -> Solid:
+    """The surface after the least closing that leaves no handle."""
     radii = iter(radius for radius in RADII if radius <= largest_radius)
-    surface = _surface(mesh, next(radii), resolution, vertices)
+    surface = _surface(mesh, next(radii), fine, vertices)
     if surface.euler == 2:
         return Solid(surface, 0.0)
-    least = _least_radius(mesh, min(resolution, _COARSE)) if largest_radius > 0 else 0.0
+    coarse = min(fine.resolution, _COARSE)
+    least = _least_radius(mesh, _Sampled.of(mesh, coarse)) if largest_radius > 0 else 0.0
     for radius in (r for r in radii if r >= least):
-        surface = _surface(mesh, radius, resolution, vertices)
+        surface = _surface(mesh, radius, fine, vertices)
         if surface.euler == 2:
             return Solid(surface, radius)
     largest = min(largest_radius, RADII[-1])
@@ -87,7 +119,21 @@ def solid_surface(
     )
 
 
-def _least_radius(mesh: Mesh, resolution: int) -> float:
+def _require_near(
+    solid: Solid, seen: Float[np.ndarray, "k 3"], mesh: Mesh, largest: float
+) -> None:
+    """Refuse a surface that lacks parts of the mesh."""
+    diagonal = bounding_diagonal(mesh)
+    far = closest_point(seen, solid.mesh).distance.max(initial=0.0) / diagonal
+    if far > largest + solid.radius:
+        raise DegenerateMesh(
+            f"{mesh.name}: parts that are seen from outside lie {far:.3g} diagonals from the new "
+            f"surface; at most {largest + solid.radius:g} are allowed; join loose parts, or raise "
+            "recipe.prepare.solid.largest_distance"
+        )
+
+
+def _least_radius(mesh: Mesh, coarse: _Sampled) -> float:
     """The radius before the first that closes all handles on a coarse grid.
 
     A level set costs a tenth there; what the coarse grid misjudges is found by the fine one.
@@ -95,7 +141,7 @@ def _least_radius(mesh: Mesh, resolution: int) -> float:
     before = 0.0
     for radius in RADII[1:]:
         try:
-            if _surface(mesh, radius, resolution, None).euler == 2:
+            if _surface(mesh, radius, coarse, None).euler == 2:
                 break
         except EmptyLevelSet:
             break
@@ -103,33 +149,16 @@ def _least_radius(mesh: Mesh, resolution: int) -> float:
     return before
 
 
-def _surface(mesh: Mesh, radius: float, resolution: int, vertices: int | None) -> Mesh:
+def _surface(mesh: Mesh, radius: float, on: _Sampled, vertices: int | None) -> Mesh:
     """Outer surface of the solid, closed by a radius in diagonals."""
     closing = f", handles closed by a ball of {radius:g} diagonals" if radius else ""
-    tell(f"surface on a grid of {resolution} cells{closing}")
-    cell = float(np.ptp(mesh.vertices, axis=0).max()) / resolution
-    field = _enclosed(mesh, _SHEET * cell)
+    tell(f"surface on a grid of {on.resolution} cells{closing}")
+    field = partial(on.enclosed.field, sheet=_SHEET * on.enclosed.grid.cell)
     if radius > 0:
         size = radius * bounding_diagonal(mesh)
-        field = _closed(field, _grown(_enclosed(mesh, np.inf), mesh, size, resolution), size)
-    return _level_set(field, mesh, resolution, vertices, margin=0.0)
-
-
-def _enclosed(mesh: Mesh, sheet: float) -> Field:
-    """Distances, negative inside; across a hole the winding number carries the surface on."""
-    tree = ClosestPointTree(mesh)
-    winding = igl.FastWindingNumberBVH()
-    winding.init(tree.vertices, tree.faces, 2)
-
-    def field(points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
-        number = winding.winding_number(np.ascontiguousarray(points)).reshape(-1)
-        out = 0.5 - number
-        distance = tree.query(points).distance
-        # Near the surface the distance is smaller, in the middle of a hole the other is.
-        near = np.minimum(distance, sheet * np.abs(out)) if np.isfinite(sheet) else distance
-        return np.sign(out) * near
-
-    return field
+        whole = partial(on.enclosed.field, sheet=np.inf)
+        field = _closed(field, _grown(whole, mesh, size, on.resolution), size)
+    return _level_set(field, mesh, on.resolution, vertices, margin=0.0)
 
 
 def _grown(distance: Field, mesh: Mesh, radius: float, resolution: int) -> ClosestPointTree:
@@ -159,14 +188,12 @@ def _level_set(
     def sampled(points: Tensor) -> Tensor:
         return torch.from_numpy(field(points.numpy()))
 
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    around = margin + 2 * float((high - low).max()) / resolution
     try:
         return extract_surface(
             sampled,
             resolution=resolution,
             vertices=vertices,
-            bounds=np.stack([low - around, high + around]),
+            bounds=_box(mesh, resolution, margin),
             require_genus_zero=False,
             dtype=torch.float64,
             name=mesh.name,
@@ -176,3 +203,10 @@ def _level_set(
             f"{mesh.name}: encloses nothing that a grid of {resolution} cells can see; a solid is "
             "required; ask for a finer grid"
         ) from error
+
+
+def _box(mesh: Mesh, resolution: int, margin: float) -> Float[np.ndarray, "2 3"]:
+    """Two corners around a mesh, two cells and a margin away."""
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    around = margin + 2 * float((high - low).max()) / resolution
+    return np.stack([low - around, high + around])

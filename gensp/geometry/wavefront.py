@@ -4,6 +4,7 @@ General readers split vertices by texture coordinate, normal, group or material,
 surfaces and loses the file's vertex order.
 """
 
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -22,7 +23,7 @@ def read_obj(path: Path) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "m 3
     vertices: list[list[str]] = []
     faces: list[tuple[int, int, int]] = []
     with open(path, encoding="utf-8", errors="replace") as file:
-        for line in file:
+        for line in _whole_lines(file):
             words = line.split()
             if line.startswith("v") and words[0] == "v":
                 vertices.append(words[1:4])
@@ -34,6 +35,19 @@ def read_obj(path: Path) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "m 3
     if len(triangles) and not 0 <= triangles.min() <= triangles.max() < len(positions):
         raise ValueError(f"a face names a vertex outside the {len(positions)} of the file")
     return positions, triangles
+
+
+def _whole_lines(file: Iterable[str]) -> Iterator[str]:
+    """The lines, those of vertices and faces that end with a backslash joined to the next."""
+    held = ""
+    for line in file:
+        if line.endswith("\\\n") and (held or line.startswith(("v", "f"))):
+            held += line[:-2] + " "
+            continue
+        yield held + line
+        held = ""
+    if held:
+        yield held
 
 
 def _place(word: str, known: int) -> int:

@@ -70,10 +70,11 @@ class PrepareStage(ItemStage):
                 f"{dropped[0]['reason'] if dropped else 'nothing'}; one closed genus-0 surface is "
                 f"required; {self.folder / 'dropped.csv'} tells what mends each"
             )
-        self._write_collection(kept)
+        used = self._write_collection(kept)
         write_card(self.folder, name=self.collection.name, up=self.collection.up)
         repaired = sum(row["verdict"] == REPAIRED for row in kept)
         told = {"kept": len(kept), "repaired": repaired, "dropped": len(dropped)}
+        told |= {"used": used} if used < len(kept) else {}
         return {**told, "cached": sum(bool(row["cached"]) for row in ordered), **counts}
 
     def _write_dropped(self, dropped: list[Row]) -> None:
@@ -83,9 +84,11 @@ class PrepareStage(ItemStage):
         ]
         write_table(self.folder / "dropped.csv", rows, columns=_DROPPED)
 
-    def _write_collection(self, kept: list[Row]) -> None:
+    def _write_collection(self, kept: list[Row]) -> int:
+        """Write the tables of the meshes that have a split; their number."""
         assert self.collection is not None
         splits = self.collection.splits([str(row["id"]) for row in kept])
+        kept = [row for row in kept if str(row["id"]) in splits]
         records = [prepared_path(self.folder, "keypoints", str(row["id"])) for row in kept]
         found = {path.stem: read_json(path) for path in records if path.is_file()}
         if found:
@@ -97,6 +100,7 @@ class PrepareStage(ItemStage):
             write_table(self.folder / "misaligned.csv", rows)
         entries = [self._entry(row, splits, str(row["id"]) in found) for row in kept]
         write_table(self.folder / "manifest.csv", entries)
+        return len(kept)
 
     def _entry(self, row: Row, splits: Mapping[str, str], keypoints: bool) -> dict[str, Any]:
         """The manifest's row of a mesh."""

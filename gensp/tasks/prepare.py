@@ -22,7 +22,7 @@ from gensp.geometry.preparation import DROPPED, Preparation, Prepared, words
 from gensp.layout import item_folder, keyed_path
 
 # Raised when the same input is to give other output.
-_VERSION = 2
+_VERSION = 3
 _ENDS = {"meshes": ".ply", "corr": ".npz", "keypoints": ".json"}
 
 
@@ -218,7 +218,8 @@ def prepare_task(
 ) -> Prepare:
     """The task as the configuration gives it."""
     # Typed as 0 it is no float.
-    solid = {**solid, "largest_radius": float(solid["largest_radius"])}
+    distances = ("largest_radius", "largest_distance")
+    solid = {**solid, **{key: float(solid[key]) for key in distances}}
     preparation = Preparation(
         tuple(repair), weld, largest_hole, solid, vertices, remesh, max_faces or MAX_FACES
     )

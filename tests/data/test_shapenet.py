@@ -1,5 +1,6 @@
 """ShapeNetCore.v2 and KeypointNet: what is listed, which split, which annotation."""
 
+import json
 import pickle
 from pathlib import Path
 
@@ -74,11 +75,58 @@ def test_splits_come_from_either_file_or_are_drawn(tree: Path, annotations: Path
     assert listed.splits([FIRST, RING]) == {FIRST: "train", RING: "test"}
     named = read(tree, split_file=annotations / "splits")
     assert named.splits(named.ids()) == {FIRST: "test", SECOND: "train"}
+    # The same model of another synset is another entry.
+    rows = (tree / "all.csv").read_text().replace(f"{KNIFE},{KNIFE}", f"{BOTTLE},{BOTTLE}")
+    (tree / "all.csv").write_text(rows)
+    assert read(tree, split_file=tree / "all.csv").ids() == [FIRST, SECOND]
     ids = [f"{BOTTLE}_{k}" for k in range(1000)]
     drawn = read(tree).splits(ids)
     assert sum(split == "test" for split in drawn.values()) == 100
     assert drawn == read(tree).splits(ids)
     assert drawn != read(tree, split_seed=1).splits(ids)
+
+
+def test_a_model_of_two_synsets_is_on_one_side(tree: Path) -> None:
+    twice = [f"{synset}_{k}" for synset in (BOTTLE, KNIFE) for k in range(40)]
+    sides = read(tree, test_fraction=0.5).splits(twice)
+    held = {id.split("_")[1] for id, side in sides.items() if side == "test"}
+    assert len(held) == 20
+    assert all((id.split("_")[1] in held) == (side == "test") for id, side in sides.items())
+    cut = read(tree, train=25, test=10).splits(twice)
+    assert sorted(cut.values()) == ["test"] * 10 + ["train"] * 25
+    assert len({id.split("_")[1] for id in cut}) == 35
+
+
+def test_the_usable_shapes_are_cut_to_what_is_asked_for(tree: Path) -> None:
+    ids = [f"{BOTTLE}_{k}" for k in range(1100)]
+    cut = read(tree, train=900, test=100).splits(ids)
+    assert sorted(cut.values()) == ["test"] * 100 + ["train"] * 900
+    assert cut == read(tree, train=900, test=100).splits(ids)
+    assert cut != read(tree, train=900, test=100, split_seed=1).splits(ids)
+    listed = read(tree, split_file=tree / "all.csv", test=1).splits([FIRST, SECOND, RING])
+    assert [listed.get(FIRST), sorted(listed.values())] == ["train", ["test", "train"]]
+    with pytest.raises(
+        MissingData, match=r"10 usable shapes .* shapes\.train=900 .*shapes\.limit"
+    ):
+        read(tree, train=900, test=1).splits(ids[:11])
+
+
+def test_a_list_with_two_splits_of_one_model_is_told(tree: Path) -> None:
+    with open(tree / "all.csv", "a") as file:
+        file.write(f"9,{BOTTLE},{BOTTLE},{ANNOTATED},val\n")
+    with pytest.raises(MissingData, match=rf"{FIRST} is in train and in val"):
+        read(tree, split_file=tree / "all.csv")
+
+
+def test_one_bad_annotation_is_left_out_and_listed(tree: Path, annotations: Path) -> None:
+    path = annotations / "annotations" / "bottle.json"
+    records = json.loads(path.read_text())
+    records[1]["symmetries"]["reflection"][0]["kp_indexes"] = [1, 99]
+    path.write_text(json.dumps(records))
+    with pytest.warns(UserWarning, match=rf"1 annotations cannot .*{SECOND} \(IndexError"):
+        shapes = read(tree, keypoints=annotations, annotated=True)
+    assert shapes.ids() == [FIRST]
+    assert shapes.keypoint_record(SECOND) is None
 
 
 def test_a_limit_is_drawn_by_the_seed(tree: Path) -> None:

@@ -46,3 +46,12 @@ def test_faces_without_their_vertices_are_an_error(tmp_path: Path) -> None:
     (tmp_path / "bad.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n")
     with pytest.raises(UnreadableMesh, match=r"bad\.obj: cannot be read .*outside the 3"):
         load_mesh(tmp_path / "bad.obj")
+
+
+def test_lines_that_go_on_are_joined(tmp_path: Path) -> None:
+    """A backslash ends vertices and faces that go on; the path of a comment ends with one too."""
+    text = "# C:\\models\\\nv 0 0 0\nv 1 0 \\\n0\nv 1 1 0\nv 0 1 0\nf 1 2 \\\n3 \\\n4\n"
+    (tmp_path / "quad.obj").write_text(text)
+    mesh = load_mesh(tmp_path / "quad.obj")
+    assert mesh.faces.tolist() == [[0, 1, 2], [0, 2, 3]]
+    assert mesh.vertices[1].tolist() == [1, 0, 0]

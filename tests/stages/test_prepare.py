@@ -177,7 +177,9 @@ def test_a_second_pass_takes_what_is_kept(raw: Path, tmp_path: Path) -> None:
     assert made_differently(first, second) == []
     changed = Mesh(1.5 * BALL.vertices, BALL.faces)
     save_mesh(changed, raw / "ellipsoid.obj")
-    with pytest.raises(StaleRun, match=r"shapes: .* force=true"):
+    with pytest.raises(
+        StaleRun, match=r"the meshes of the collection, .* changed\); .*force=true"
+    ):
         prepare(raw, second, ALL)
     cached = {id: row["cached"] for id, row in prepare(raw, second, ALL, "force=true").items()}
     assert cached == {id: str(id != "ellipsoid") for id in cached}
@@ -216,8 +218,8 @@ def test_two_workers_make_what_one_makes(raw: Path, tmp_path: Path) -> None:
 def test_shapenet_becomes_a_collection(tmp_path: Path) -> None:
     tree = write_shapenet(tmp_path / "tree")
     annotations = write_keypointnet(tmp_path / "annotations")
-    solid = "recipe.prepare.solid={resolution: 48, vertices: 600, largest_radius: 0}"
-    more = (f"shapes.keypoints={annotations}", "recipe.prepare.repair=[solid]", solid)
+    solid = "recipe.prepare.solid={resolution: 48, vertices: 600}"
+    more = (f"shapes.keypoints={annotations}", solid, "recipe.prepare.normalize=false")
     rows = prepare(tree, tmp_path / "out", *more, "shapes.test_fraction=0.5", shapes="shapenet")
     first, second = f"{BOTTLE}_{ANNOTATED}", f"{BOTTLE}_{SKEWED}"
     made = ShapeCollection.from_folder(tmp_path / "out")
@@ -227,7 +229,7 @@ def test_shapenet_becomes_a_collection(tmp_path: Path) -> None:
     reasons = {row["id"]: row["reason"] for row in table(tmp_path / "out" / "dropped.csv")}
     assert "does not exist" in reasons[f"{BOTTLE}_{'c' * 32}"]
     assert reasons[f"{KNIFE}_{'d' * 32}"].startswith("genus 1 is left after remeshing")
-    assert rows[first]["done"] == "outer surface by winding numbers"
+    assert rows[first]["done"] == "outer surface"
     # Of two balls the outer surface alone is left: their union, 0.95 long and 0.6 wide.
     assert np.ptp(made.mesh(first).vertices, axis=0) == pytest.approx([0.95, 0.6, 0.6], abs=0.03)
     assert [row["id"] for row in table(tmp_path / "out" / "misaligned.csv")] == [second]
@@ -242,11 +244,41 @@ def test_shapenet_becomes_a_collection(tmp_path: Path) -> None:
     assert np.abs(places - expected).max() < 0.05
 
 
+@pytest.fixture(scope="module")
+def six(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, dict]]:
+    """Six models as ShapeNet stores them, prepared by what shapes=shapenet says."""
+    tree, out = ROOT / "tests" / "fixtures", tmp_path_factory.mktemp("six") / "made"
+    annotated = f"shapes.keypoints={tree / 'KeypointNet'}"
+    coarse = "recipe.prepare.solid={resolution: 64, vertices: 1500}"
+    cut = ("shapes.train=4", "shapes.test=1")
+    shapes = prepare(tree / "ShapeNetCore.v2", out, annotated, coarse, *cut, shapes="shapenet")
+    return out, shapes
+
+
+def test_models_as_shapenet_stores_them_become_closed_surfaces(
+    six: tuple[Path, dict[str, dict]],
+) -> None:
+    out, rows = six
+    assert len(rows) == 6
+    assert {row["verdict"] for row in rows.values()} == {"repaired"}
+    assert {row["done"] for row in rows.values()} == {"outer surface; normalised"}
+    assert table(out / "dropped.csv") == []
+    assert all(int(row["keypoints"]) > 0 for row in rows.values())
+    assert not (out / "misaligned.csv").exists()
+
+
+def test_the_collection_holds_as_many_as_are_asked_for(
+    six: tuple[Path, dict[str, dict]],
+) -> None:
+    made = ShapeCollection.from_folder(six[0])
+    assert sorted(made.shape(id).split for id in made.ids()) == ["test"] + ["train"] * 4
+    assert made.mesh(made.ids()[0]).area == pytest.approx(SPHERE_AREA)
+
+
 def test_dfaust_gets_triangles_of_its_own(tmp_path: Path) -> None:
     root = write_dfaust(tmp_path / "raw", frames=2)
     frames = ("shapes.train=null", "shapes.test=null", "shapes.test_subjects=['50020']")
-    more = ("recipe.prepare.remesh=true", *frames)
-    prepare(root, tmp_path / "out", *more, shapes="dfaust")
+    prepare(root, tmp_path / "out", *frames, shapes="dfaust")
     made = ShapeCollection.from_folder(tmp_path / "out")
     assert made.ids("test") == ["50020_knees_00000", "50020_knees_00001"]
     first, second = "50004_hips_00000", "50002_hips_00000"
@@ -262,6 +294,8 @@ def test_dfaust_gets_triangles_of_its_own(tmp_path: Path) -> None:
 def test_nothing_but_its_own_folder_is_written_over(raw: Path, tmp_path: Path) -> None:
     with pytest.raises(Unsupported, match=r"prepare\.out=.* holds shapes\.root"):
         prepare(raw, raw.parent, "force=true")
+    with pytest.raises(Unsupported, match=r"prepare\.out=.* is within shapes\.root"):
+        prepare(raw, raw / "made")
     mine = tmp_path / "mine"
     mine.mkdir()
     (mine / "thesis.txt").write_text("years of work")
