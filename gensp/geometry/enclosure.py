@@ -6,7 +6,7 @@ doubled, and no crack narrower than a cell. Nodes at a wall belong to the side f
 edge reaches them without meeting a triangle.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import igl
 import numpy as np
@@ -38,7 +38,9 @@ class Enclosure:
     side
         INSIDE or OUTSIDE for every node where the flood decides; UNKNOWN where winding numbers do.
     thin
-        Cells around parts that no node lies in.
+        Cells around parts that no node lies in, and those that were `thickened`.
+    thick
+        Cells near an inner node that is free.
     seen
         Points of the mesh that are seen from outside.
     """
@@ -48,6 +50,7 @@ class Enclosure:
     winding: igl.FastWindingNumberBVH
     side: Int[np.ndarray, "a b c"]
     thin: Bool[np.ndarray, "u v w"]
+    thick: Bool[np.ndarray, "u v w"]
     seen: Float[np.ndarray, "k 3"]
 
     def field(self, points: Float[np.ndarray, "k 3"], sheet: float) -> Float[np.ndarray, " k"]:
@@ -65,6 +68,12 @@ class Enclosure:
         grown = found.distance - _THICKNESS * self.grid.cell
         thin = self.thin[tuple(self.grid.cells_of(found.points).T)]
         return np.where(thin, np.minimum(signed, grown), signed)
+
+    def thickened(self, lost: Float[np.ndarray, "k 3"]) -> "Enclosure":
+        """The same with parts thickened that were lost at these points, where they are thin."""
+        more = np.zeros_like(self.thin)
+        more[tuple(self.grid.cells_of(lost).T)] = True
+        return replace(self, thin=self.thin | _around(more & ~self.thick))
 
 
 @dataclass(frozen=True)
@@ -104,8 +113,13 @@ def enclosure(mesh: Mesh, grid: Grid) -> Enclosure:
         side = _sides(free, flooded, nodes.at, full, crossed)
     inside = np.where(side[nodes.at] == UNKNOWN, full, side[nodes.at] == INSIDE)
     clear = nodes.free & nodes.flooded & ~inside & (nodes.found.distance < _SEEN * grid.cell)
-    thin = _thin(grid, nodes, inside)
-    return Enclosure(grid, tree, winding, side, thin, nodes.found.points[clear])
+    distance = nodes.found.distance
+    touched = np.zeros(grid.cells, dtype=bool)
+    touched[tuple(grid.cells_of(nodes.found.points[distance < grid.cell]).T)] = True
+    held = _beside(grid, nodes.at, inside & (distance > _ON * grid.cell))
+    thick = _beside(grid, nodes.at, inside & nodes.free)
+    thin = _around(touched & ~held)
+    return Enclosure(grid, tree, winding, side, thin, thick, nodes.found.points[clear])
 
 
 def _numbers(
@@ -201,16 +215,17 @@ def _spread(
     return found
 
 
-def _thin(grid: Grid, nodes: _Nodes, inside: Bool[np.ndarray, " k"]) -> Bool[np.ndarray, "u v w"]:
-    """Cells of parts further than a cell from every inner node, and those around them."""
-    distance = nodes.found.distance
-    touched = np.zeros(grid.cells, dtype=bool)
-    touched[tuple(grid.cells_of(nodes.found.points[distance < grid.cell]).T)] = True
-    held = np.zeros(tuple(count + 1 for count in grid.cells), dtype=bool)
-    held[nodes.at] = inside & (distance > _ON * grid.cell)
+def _beside(
+    grid: Grid, at: tuple[Int[np.ndarray, " k"], ...], marked: Bool[np.ndarray, " k"]
+) -> Bool[np.ndarray, "u v w"]:
+    """Cells no further than a cell from a marked node."""
+    nodes = np.zeros(tuple(count + 1 for count in grid.cells), dtype=bool)
+    nodes[at] = marked
     for axis in range(3):
-        first, second = np.delete(held, -1, axis), np.delete(held, 0, axis)
-        held = first | second
-    thin = touched & ~ndimage.binary_dilation(held, _BLOCK)
-    # They overlap with what the nodes hold, so that the parts stay together.
-    return ndimage.binary_dilation(thin, _BLOCK, iterations=2) if thin.any() else thin
+        nodes = np.delete(nodes, -1, axis) | np.delete(nodes, 0, axis)
+    return ndimage.binary_dilation(nodes, _BLOCK)
+
+
+def _around(cells: Bool[np.ndarray, "u v w"]) -> Bool[np.ndarray, "u v w"]:
+    """Cells and those two from them: they overlap with what is there, so that parts hold on."""
+    return ndimage.binary_dilation(cells, _BLOCK, iterations=2) if cells.any() else cells

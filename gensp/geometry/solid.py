@@ -7,7 +7,8 @@ a ball of that radius cannot enter.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -31,6 +32,8 @@ _COARSE = 40
 # Vertices of the grown solid: it is nowhere rounder than its radius, and points at the centre of a
 # ball are as near to all of its triangles.
 _GROWN = 10_000
+_TRIES = 3  # to hold what is thinner than a cell
+_LOST = 1.5  # cells from the surface
 _SHEET = 8.0  # cells: how far the winding number alone places the surface
 
 
@@ -79,8 +82,8 @@ def solid_surface(
     """
     if not mesh.area > 0:
         raise DegenerateMesh(f"{mesh.name}: has no area; a surface is required; export it again")
-    fine = _Sampled.of(mesh, resolution)
-    found = _without_handles(mesh, fine, vertices, largest_radius)
+    fine, surface = _whole(mesh, _Sampled.of(mesh, resolution), vertices)
+    found = _without_handles(mesh, fine, surface, vertices, largest_radius)
     _require_near(found, fine.enclosed.seen, mesh, largest_distance)
     return found
 
@@ -98,12 +101,26 @@ class _Sampled:
         return cls(enclosure(mesh, Grid.over(_box(mesh, resolution, 0.0), resolution)), resolution)
 
 
+def _whole(mesh: Mesh, fine: _Sampled, vertices: int | None) -> tuple[_Sampled, Mesh]:
+    """The surface without any closing, its thin parts thickened where they were lost."""
+    surface = None
+    for left in reversed(range(_TRIES)):
+        seen, cell = fine.enclosed.seen, fine.enclosed.grid.cell
+        with suppress(EmptyLevelSet):
+            surface = _surface(mesh, 0.0, fine, vertices)
+            seen = seen[closest_point(seen, surface).distance > _LOST * cell]
+        grown = fine.enclosed.thickened(seen)
+        if not left or np.array_equal(grown.thin, fine.enclosed.thin):
+            break
+        fine = replace(fine, enclosed=grown)
+    return fine, surface or _surface(mesh, 0.0, fine, vertices)
+
+
 def _without_handles(
-    mesh: Mesh, fine: _Sampled, vertices: int | None, largest_radius: float
+    mesh: Mesh, fine: _Sampled, surface: Mesh, vertices: int | None, largest_radius: float
 ) -> Solid:
     """The surface after the least closing that leaves no handle."""
-    radii = iter(radius for radius in RADII if radius <= largest_radius)
-    surface = _surface(mesh, next(radii), fine, vertices)
+    radii = [radius for radius in RADII[1:] if radius <= largest_radius]
     if surface.euler == 2:
         return Solid(surface, 0.0)
     coarse = min(fine.resolution, _COARSE)
