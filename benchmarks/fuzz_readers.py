@@ -21,8 +21,9 @@ from gensp.data.dfaust import DFaust
 from gensp.data.ground_truth import GroundTruth, load_ground_truth, save_ground_truth
 from gensp.data.keypoints import keypoints_of, load_keypoint_records, symmetry_groups
 from gensp.data.sdf import SdfSampler, cached_samples
-from gensp.data.shapenet import ShapeNet, read_splits
+from gensp.data.shapenet import ShapeNet
 from gensp.data.shapes import ShapeCollection
+from gensp.data.split_lists import read_splits
 from gensp.export.baking import read_textured
 from gensp.export.polygons import write_ply
 from gensp.export.textured import write_textured
