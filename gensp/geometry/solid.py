@@ -170,7 +170,7 @@ def _surface(mesh: Mesh, radius: float, on: _Sampled, vertices: int | None) -> M
     """Outer surface of the solid, closed by a radius in diagonals."""
     closing = f", handles closed by a ball of {radius:g} diagonals" if radius else ""
     tell(f"surface on a grid of {on.resolution} cells{closing}")
-    field = partial(on.enclosed.field, sheet=_SHEET * on.enclosed.grid.cell)
+    field: Field = partial(on.enclosed.field, sheet=_SHEET * on.enclosed.grid.cell)
     if radius > 0:
         size = radius * bounding_diagonal(mesh)
         whole = partial(on.enclosed.field, sheet=np.inf)
