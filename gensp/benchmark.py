@@ -10,83 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from gensp.tables import Column, Summary, cell, latex_table, markdown_table, summary_label
+from gensp.columns import PARTS, Column, Part
+from gensp.tables import Summary, cell, latex_table, markdown_table, summary_label
 
 _SEED = re.compile(r"\+seed-\d+")
-
-
-@dataclass(frozen=True)
-class Part:
-    """One of the tables: its title and its columns."""
-
-    title: str
-    columns: tuple[Column, ...]
-
-
-PARTS = (
-    Part(
-        "Distortion",
-        (
-            Column("sigma_mean", "mean σ", "isometric distortion, mean over triangles, shapes"),
-            Column("sigma_max_mean", "max σ", "largest of any triangle, mean over shapes"),
-            Column("sigma_max", "worst σ", "largest of any triangle of any shape"),
-            Column("conformal_mean", "mean σ^con", "conformal distortion, as mean σ"),
-            Column("conformal_max", "worst σ^con", "conformal distortion, as worst σ"),
-            Column("coverage_mean", "coverage", "shape to icosphere remesh over √area, mean", 4),
-            Column("coverage_max", "max coverage", "the same, largest", 4),
-        ),
-    ),
-    Part(
-        "Consistency",
-        (
-            Column("c", "c", "consistency of the paper, over nearest of the pairs, no rotation"),
-            Column("c_registered", "c (registered)", "after a rotation found without truth"),
-            Column("c_rotated", "c (rotated)", "rotated as error (rotated)"),
-            Column("error", "error", "implied correspondence over √area, no rotation", 4),
-            Column("error_registered", "error (registered)", "as c (registered)", 4),
-            Column(
-                "error_rotated",
-                "error (rotated)",
-                "after the rotation of each pair that makes it least",
-                4,
-            ),
-            Column("error_median", "median error", "over pairs, no rotation", 4),
-            Column("geodesic", "geodesic", "error along the surface, no rotation", 4),
-            Column("geodesic_rotated", "geodesic (rotated)", "rotated as error (rotated)", 4),
-            Column("within", "within 0.05", "share of points of at most that geodesic error"),
-            Column("within_rotated", "within 0.05 (rotated)", "rotated as error (rotated)"),
-            Column("pairs", "pairs", "pairs with dense ground truth that were measured", 0),
-        ),
-    ),
-    Part(
-        "Keypoints of shapes without common dense truth",
-        (
-            Column("keypoint_error", "error", "implied correspondence over √area, no rotation", 4),
-            Column("keypoint_error_registered", "error (registered)", "after such a rotation", 4),
-            Column("keypoint_error_rotated", "error (rotated)", "after the best of each pair", 4),
-            Column("keypoint_pairs", "pairs", "pairs of shapes that were measured", 0),
-        ),
-    ),
-    Part(
-        "Bijectivity",
-        (
-            Column("shapes", "shapes", "shapes with a map", 0),
-            Column("failures", "failures", "shapes without one, or whose map was not measured", 0),
-            Column("bad_faces_percent", "bad faces %", "folded or collapsed on the sphere", 4),
-            Column("affected_shapes", "affected", "shapes with a bad face or such a degree", 0),
-            Column("wrong_degree", "degree ≠ ±1", "shapes of another degree than 1 or -1", 0),
-        ),
-    ),
-    Part(
-        "Run time",
-        (
-            Column("seconds_median", "seconds", "run time for one shape, median", 2),
-            Column("seconds_max", "max seconds", "the same, largest", 2),
-            Column("vertices_median", "vertices", "of a shape, median", 0),
-            Column("vertices_max", "max vertices", "of a shape, largest", 0),
-        ),
-    ),
-)
 
 
 def best_baselines(summaries: Iterable[Summary], count: int) -> list[Summary]:
@@ -219,7 +146,7 @@ class Benchmark:
         columns = [
             column
             for column in part.columns
-            if any(group.get(column.key) is not None for row in rows for group in row.groups)
+            if any(_told(group, column) for row in rows for group in row.groups)
         ]
         told = [[row.label, *(row.cell(column) for column in columns)] for row in rows]
         return (columns, told) if told and columns else None
@@ -236,6 +163,12 @@ def figures(summary: Summary, split: str) -> dict[str, float]:
     # What failed is listed without its split.
     failed = {"failures": len(summary.get("failed") or ())} if split == "all" else {}
     return known | failed
+
+
+def _told(group: Mapping[str, float], column: Column) -> bool:
+    """Whether a group has such a figure; no pairs are none."""
+    value = group.get(column.key)
+    return value is not None and not (column.key.endswith("pairs") and value == 0)
 
 
 def without_seed(label: str) -> str:

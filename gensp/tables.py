@@ -8,6 +8,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from gensp.columns import COLUMNS, TERMINAL, Column
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -18,87 +20,6 @@ _LEFT_OUT = (
     ("skipped", "Skipped", "reason"),
     ("lost", "Not learnt from", "reason"),
     ("failed", "Failed", "error"),
-)
-
-
-@dataclass(frozen=True)
-class Column:
-    """One figure of the table: its key in a summary, its heading, and what it says."""
-
-    key: str
-    heading: str
-    meaning: str
-    digits: int = 3
-
-
-COLUMNS = (
-    Column("shapes", "shapes", "number of shapes with a map", 0),
-    Column("sigma_mean", "mean σ", "isometric distortion, mean over triangles, then over shapes"),
-    Column("sigma_max", "max σ", "largest isometric distortion of any triangle of the group"),
-    Column("sigma_area", "mean σ (area)", "isometric distortion, area-weighted mean"),
-    Column("conformal_mean", "mean σ^con", "conformal distortion, mean over triangles and shapes"),
-    Column("conformal_max", "max σ^con", "largest conformal distortion of any triangle"),
-    Column("c", "c", "consistency c(m_i, m_j) of the paper, over 6 nearest of the measured pairs"),
-    Column("c_rotated", "c (rotated)", "c rotated as error (rotated)"),
-    Column(
-        "c_registered",
-        "c (registered)",
-        "c after a rotation found from the maps alone; not fit=register",
-    ),
-    Column("c_area", "c (area)", "c at points area-uniform on the shape"),
-    Column("error", "error", "implied correspondence over √area, no rotation, mean over pairs", 4),
-    Column(
-        "error_rotated",
-        "error (rotated)",
-        "the same after the rotation of each pair that makes it least",
-        4,
-    ),
-    Column(
-        "error_registered",
-        "error (registered)",
-        "the same after a rotation found from the maps alone; not fit=register",
-        4,
-    ),
-    Column("geodesic", "geodesic", "the error along the surface, no rotation", 4),
-    Column("geodesic_rotated", "geodesic (rotated)", "the same, rotated as error (rotated)", 4),
-    Column("within", "within 0.05", "share of points whose geodesic error is at most 0.05"),
-    Column(
-        "error_prediction",
-        "error (prediction)",
-        "the same between the surfaces that the maps were read off, through closest points",
-        4,
-    ),
-    Column(
-        "keypoint_error",
-        "keypoints",
-        "implied correspondence over √area at semantic keypoints, no rotation",
-        4,
-    ),
-    Column(
-        "keypoint_error_symmetric",
-        "keypoints (symmetric)",
-        "the same, points that a symmetry of the shape exchanges in their best order",
-        4,
-    ),
-    Column("bad_faces_percent", "bad faces %", "folded or collapsed faces on the sphere"),
-    Column("affected_shapes", "affected", "shapes with a bad face or a degree other than 1", 0),
-    Column("coverage_mean", "coverage", "shape to its icosphere remesh over √area, mean", 4),
-    Column("coverage_max", "max coverage", "shape to its icosphere remesh over √area, max", 4),
-    Column("seconds", "seconds", "run time for one shape, mean", 2),
-)
-TERMINAL = (
-    "shapes",
-    "sigma_mean",
-    "sigma_max",
-    "conformal_mean",
-    "c",
-    "error",
-    "error_rotated",
-    "error_registered",
-    "bad_faces_percent",
-    "affected_shapes",
-    "coverage_mean",
-    "seconds",
 )
 
 

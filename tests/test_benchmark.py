@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from commands import finished_items, train
 
-from gensp.benchmark import PARTS, Benchmark
+from gensp.benchmark import Benchmark
+from gensp.columns import PARTS
 from gensp.comparison import compare_methods
 from gensp.pictures.methods import MethodFigures, curves_figure, methods_figure
 from gensp.places import places_markdown
@@ -61,6 +62,13 @@ def test_markdown_has_every_part_and_the_reasons_of_failures() -> None:
     assert bijectivity["ahsp"]["failures"] == "1"
     assert f"- ahsp, s0: {REASON}" in text
     assert "c (rotated)" not in text  # no figure, no column
+
+
+def test_no_pairs_are_no_table() -> None:
+    alone = summary("dirichlet", 1.2)
+    del alone["groups"]["all"]["keypoint_error"]
+    alone["groups"]["all"]["keypoint_pairs"] = 0
+    assert "Keypoints" not in Benchmark((alone,)).markdown()
 
 
 def test_shapes_that_were_not_learnt_from_stand_apart() -> None:

@@ -29,15 +29,16 @@ ALLOWED = {
     "machine": set(),
     "checksums": CORE,
     "runs": CORE | {"machine", "checksums"},
-    "tables": CORE,
-    "pictures": CORE | {"layout", "geometry", "tables"},
+    "columns": set(),
+    "tables": CORE | {"columns"},
+    "pictures": CORE | {"layout", "geometry", "columns", "tables"},
 }
 ALLOWED["restarts"] = CORE | {"runs", "checksums"}
 ALLOWED["clusters"] = CORE | {"sharing"}
 ALLOWED["job_arrays"] = CORE | {"sharing", "clusters"}
 ALLOWED["ranks"] = CORE
-ALLOWED["benchmark"] = CORE | {"tables"}
-ALLOWED["places"] = CORE | {"tables", "benchmark"}
+ALLOWED["benchmark"] = CORE | {"columns", "tables"}
+ALLOWED["places"] = CORE | {"columns", "tables", "benchmark"}
 ALLOWED["comparison"] = CORE | {"tables", "benchmark", "places", "pictures"}
 ALLOWED["card"] = CORE | {"data", "geometry", "pictures", "tables"}
 ALLOWED["catalogue"] = CORE | {"checksums", "tables"}

@@ -16,11 +16,12 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image
 
+from gensp.columns import Column
 from gensp.files import write_text
 from gensp.geometry.sphere import icosphere
 from gensp.geometry.spherical_map import SphericalMap
 from gensp.pictures.texture import cube_map
-from gensp.tables import Column, cell, columns_of
+from gensp.tables import cell, columns_of
 
 PACKAGES = ("gensp", "torch", "lightning", "numpy", "scipy", "libigl", "trimesh", "torchdiffeq")
 CARDS = (

@@ -91,7 +91,7 @@ def _shares(dense: Sequence[Record]) -> dict[str, float]:
 def _shape_figures(rows: Sequence[Record]) -> dict[str, float | int]:
     bad = sum(row["bad_faces"] for row in rows)
     largest = ("sigma_max", "conformal_max", "coverage_max", "prediction_coverage_max")
-    sizes = ("seconds", "vertices")
+    sizes = ("seconds", "processor_seconds", "vertices")
     means = ("sigma_mean", "sigma_area", "conformal_mean", "coverage_mean", "seconds")
     return {
         "shapes": len(rows),

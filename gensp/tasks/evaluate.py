@@ -97,6 +97,7 @@ class Evaluate:
             **_coverage("coverage", map.mesh, map.icosphere_remesh(self.level)),
             **self._prediction(id, map.mesh),
             "seconds": made.get("seconds"),
+            "processor_seconds": made.get("processor_seconds"),
         }
 
     def _prediction(self, id: str, mesh: Mesh) -> Row:

@@ -1,6 +1,7 @@
 """A spherical map of one shape, by any method."""
 
 import pickle
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -38,11 +39,14 @@ class Parameterize:
         """Write the shape's files and give its row of diagnostics."""
         mesh = self.collection.mesh(id)
         compiling = compile_loops()
-        map = _method(pickle.dumps(self.make))(mesh)
+        method = _method(pickle.dumps(self.make))
+        began = time.process_time()
+        map = method(mesh)
+        spent = time.process_time() - began
         if map.arrays:
             save_npz(item_file(self.folder, "predictions", id), **map.arrays)
         save_map(map, item_folder(self.folder, "maps", id))
-        timed = {**map.diagnostics, "seconds_compile": compiling}
+        timed = {**map.diagnostics, "processor_seconds": spent, "seconds_compile": compiling}
         numbers = {key: _plain(value) for key, value in timed.items()}
         shape = self.collection.shape(id)
         return {"id": id, "split": shape.split, "vertices": len(mesh.vertices), **numbers}
