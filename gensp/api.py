@@ -1,6 +1,7 @@
 """Arrays in, arrays out: what `import gensp` offers for one mesh."""
 
-from collections.abc import Iterable
+from collections.abc import Collection
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -86,9 +87,10 @@ def as_mesh(vertices: ArrayLike, faces: ArrayLike, name: str = "mesh") -> Mesh:
     whole = np.issubdtype(triangles.dtype, np.integer)
     flat = [x.ndim != 2 or x.shape[1] != 3 or len(x) == 0 for x in (positions, triangles)]
     if any(flat) or not whole:
+        remedy = "reshape them" if any(flat) else "cast them: faces.astype(int)"
         raise DegenerateMesh(
             f"{name}: vertices {positions.shape} and faces {triangles.shape} of "
-            f"{triangles.dtype}; (n, 3) numbers and (m, 3) integers are required; reshape them"
+            f"{triangles.dtype}; (n, 3) numbers and (m, 3) integers are required; {remedy}"
         )
     return Mesh(np.ascontiguousarray(positions), np.array(triangles, dtype=np.int64), name)
 
@@ -132,10 +134,11 @@ def load(model: Path | str, *, register: bool | None = None, **settings: Any) ->
     return GenSP.load(model if known is None else known.path, **{**chosen, **settings})
 
 
-def _require_model_file(path: Path, names: Iterable[str]) -> None:
+def _require_model_file(path: Path, names: Collection[str]) -> None:
     """A wrong name is told before torch is loaded, which takes seconds."""
     required = f"a trained model.pt or a model of the package ({', '.join(sorted(names))})"
-    remedy = "run python train.py stage=finetune"
+    near = get_close_matches(str(path), names, n=1)
+    remedy = f"did you mean {near[0]}?" if near else "run python train.py stage=finetune"
     if not path.is_file():
         raise MissingStage(f"{path}: does not exist; {required} is required; {remedy}")
     if path.suffix.lower() in (*FORMATS, ".npz"):

@@ -31,6 +31,8 @@ _TRAINER_SCIENCE = (
     "fast_dev_run",
 )
 
+# Whole numbers, and the least that each may be.
+_COUNTS = {"seed": 0, "threads": 0, "workers.jobs": 0}
 _SHAPES_PATHS = ("root", "keypoints", "split_file")
 
 
@@ -74,13 +76,20 @@ def require_values(cfg: DictConfig) -> None:
 
 
 def require_numbers(cfg: DictConfig) -> None:
-    """Refuse a word where the recipe of the paper has a number or a truth value.
+    """Refuse what is no number: seed, threads, jobs, and where the paper's recipe has one.
 
     Raises
     ------
     Unsupported
         The key, what was found, and a value that it may hold.
     """
+    for key, least in _COUNTS.items():
+        value = OmegaConf.select(cfg, key)
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        if value is not None and not (whole and value >= least):
+            raise Unsupported(
+                f"{key}: is '{value}'; a whole number from {least} on is required; correct it"
+            )
     known = OmegaConf.load(_PAPER)
     pending = [("recipe", cfg.recipe, known)]
     while pending:

@@ -19,7 +19,7 @@ from gensp.configuration import (
     settings_of,
 )
 from gensp.data.raw import require_apart, require_rule
-from gensp.errors import OutputError
+from gensp.errors import OutputError, Unsupported
 from gensp.files import unwritable
 from gensp.machine import first_process
 from gensp.occupancy import occupied
@@ -72,6 +72,12 @@ def run_pipeline(
     Unsupported
         As of `run`, for any of the stages, before the first is begun.
     """
+    if not cfg.keep:
+        raise Unsupported(
+            "keep: is false, as by debug=fast, so that no stage of a pipeline finds what the one "
+            "before it made; one stage is required; add stage=NAME, and run those that it reads "
+            "before, with keep=true"
+        )
     typed = [entry for entry in overrides if not entry.startswith("stage=")]
     composed = [[*_without(typed, entry), *entry] for entry in cfg.pipeline]
     stages = [compose("config", overrides=words) for words in composed]

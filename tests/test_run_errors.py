@@ -142,6 +142,20 @@ def test_unknown_word_lists_the_known_ones(words: tuple[str, ...], line: str) ->
 
 
 @pytest.mark.parametrize(
+    "word", ["seed=abc", "workers.jobs=many", "workers.jobs=-3", "threads=1.5"]
+)
+def test_what_counts_is_a_whole_number(tmp_path: Path, word: str) -> None:
+    key, value = word.split("=")
+    with pytest.raises(Unsupported, match=f"{key}: is '{value}'; a whole number from 0 on"):
+        run_here(*smoke_words(tmp_path), "stage=augment", word)
+
+
+def test_a_pipeline_that_keeps_nothing_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(Unsupported, match=r"keep: is false, .*; add stage=NAME"):
+        run_here(*smoke_words(tmp_path), "debug=fast")
+
+
+@pytest.mark.parametrize(
     ("word", "line"),
     [
         ("finetune.isometry_weight=abc", "is 'abc'; a value such as 0.01"),

@@ -10,6 +10,7 @@ _REMEDIES = {
     ", or raise max_faces": " (gensp repair --remesh does)",
     ", or set recipe.fit.own=1": "",
     "; start stiffer with recipe.correspond.registration.schedule": "; leave out --register",
+    "or pass what gensp.load(MODEL) returns": "or give a trained model with --model",
     "the model.pt of stage=finetune or initialize": "a model.pt that holds both",
     "run python train.py stage=finetune": "train one, or leave out --model",
     "name another folder with paths.runs=FOLDER": "name another place",

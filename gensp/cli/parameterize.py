@@ -81,10 +81,11 @@ def _figures(map: "SphericalMap", seconds: float) -> list[tuple[str, str]]:
 
 def _rung(map: "SphericalMap") -> list[tuple[str, str]]:
     """From which rung of the ladder the map was refined, where its method has one."""
-    from gensp.methods.refinement import RUNGS
+    from gensp.methods.refinement import HIERARCHICAL, RUNGS
 
     rung = map.diagnostics.get("rung")
-    return [("rung", f"{rung}: {RUNGS[rung]}")] if rung in RUNGS else []
+    led = ", led by the prediction" if "predicted" in map.arrays and rung == HIERARCHICAL else ""
+    return [("rung", f"{rung}: {RUNGS[rung]}{led}")] if rung in RUNGS else []
 
 
 def _novelty(map: "SphericalMap") -> list[tuple[str, str]]:

@@ -13,6 +13,8 @@ from gensp.geometry.distance import hausdorff
 from gensp.geometry.mesh import FORMATS, MAX_FACES, Mesh, load_mesh, require_genus_zero, save_mesh
 from gensp.geometry.repair import Repaired, bounding_diagonal, repair, sane
 
+_ANY_HOLE = 10.0  # diagonals: longer than the rims of what is still a surface
+
 
 @dataclass(frozen=True)
 class Mended:
@@ -40,8 +42,9 @@ def mended(
     try:
         require_genus_zero(found.mesh, max_faces=max(MAX_FACES, len(mesh.faces)))
     except BadMesh as error:
-        left = ", ".join(what for what, _ in diagnose(found.mesh).findings) or str(error)
-        words = shlex.join(["gensp", "repair", str(path), "OUT", "--remesh"])
+        after = diagnose(found.mesh)
+        left = ", ".join(what for what, _ in after.findings) or str(error)
+        words = shlex.join(["gensp", "repair", str(path), "OUT", *_harder(after, largest_hole)])
         raise NotGenusZero(
             f"{path}: {left} left after mending; one closed surface of genus 0 is required; "
             f"type: {words}"
@@ -50,6 +53,12 @@ def mended(
     if found.dropped:
         steps["area of the dropped parts"] = f"{found.dropped:.1%} of all parts'"
     return Mended(mesh, found.mesh, steps)
+
+
+def _harder(after: Diagnosis, largest_hole: float) -> list[str]:
+    """Options that may mend what is left: larger holes first, new triangles last."""
+    holes = after.boundary_edges > 0 and largest_hole < _ANY_HOLE
+    return ["--largest-hole", f"{_ANY_HOLE:g}"] if holes else ["--remesh"]
 
 
 def _remeshed(path: Path, mesh: Mesh, resolution: int, vertices: int) -> Mended:

@@ -43,7 +43,7 @@ class NoRefinement:
         u = unit(start)
         bad = int(bad_faces(u, mesh.faces).sum())
         numbers = {"seconds": 0.0, "rounds": 0, "iterations": 0, "bad_faces_start": bad}
-        return finished(mesh, u, {"rung": PREDICTION, **numbers})
+        return finished(mesh, u, numbers)
 
 
 @dataclass(frozen=True)

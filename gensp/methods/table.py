@@ -68,6 +68,6 @@ def per_shape(name: str) -> SphericalParameterization:
     if name not in PER_SHAPE:
         raise Unsupported(
             f"method '{name}': is not known; one of {', '.join(PER_SHAPE)} is required; name one "
-            "of them, or give a trained model with --model; train.py method= has more"
+            "of them, or pass what gensp.load(MODEL) returns; python train.py method= has more"
         )
     return PER_SHAPE[name]()

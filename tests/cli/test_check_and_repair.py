@@ -143,3 +143,14 @@ def test_repair_of_nothing_is_told(refused: Refused, tmp_path: Path, defect: str
     for more in ((), ("--remesh",)):
         assert "required" in refused("repair", path, tmp_path / "mended.ply", *more)
     assert not (tmp_path / "mended.ply").exists()
+
+
+def test_a_hole_that_is_left_names_the_option_that_closes_it(
+    gensp: Run, refused: Refused, tmp_path: Path
+) -> None:
+    path = tmp_path / "open.ply"
+    DEFECTS["open"][0](path)
+    line = refused("repair", path, tmp_path / "mended.ply", "--largest-hole", 0.001)
+    assert line.endswith(f"type: gensp repair {path} OUT --largest-hole 10")
+    words = ("--largest-hole", 10)
+    assert gensp("repair", path, tmp_path / "mended.ply", *words)[0] == 0
