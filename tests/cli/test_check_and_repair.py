@@ -116,9 +116,10 @@ def test_remeshing_says_how_far_it_is(
     code, _, said = gensp("repair", ring, tmp_path / "mended.ply", *words)
     lines = said.splitlines()
     assert code == 0
-    assert lines[0] == "ring: surface on a grid of 24 cells"
-    assert len(lines) > 1, "the handle is closed by balls, one after the other"
-    assert all(line.startswith(f"{lines[0]}, ") for line in lines[1:])
+    surface = "ring: surface on a grid of 24 cells"
+    assert lines[:2] == ["ring: flood of a grid of 24 cells", surface]
+    assert len(lines) > 2, "the handle is closed by balls, one after the other"
+    assert all(line.startswith(f"{surface}, ") for line in lines[2:])
 
 
 def test_repair_refuses_formats_it_cannot_write(refused: Refused, tmp_path: Path) -> None:
