@@ -9,6 +9,7 @@ _REMEDIES = {
     # What holds another remedy comes before it.
     ", or raise max_faces": " (gensp repair --remesh does)",
     ", or set recipe.fit.own=1": "",
+    ", or raise recipe.prepare.solid.largest_distance": "",
     "; start stiffer with recipe.correspond.registration.schedule": "; leave out --register",
     "or pass what gensp.load(MODEL) returns": "or give a trained model with --model",
     "the model.pt of stage=finetune or initialize": "a model.pt that holds both",

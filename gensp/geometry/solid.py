@@ -123,8 +123,7 @@ def _without_handles(
     radii = [radius for radius in RADII[1:] if radius <= largest_radius]
     if surface.euler == 2:
         return Solid(surface, 0.0)
-    coarse = min(fine.resolution, _COARSE)
-    least = _least_radius(mesh, _Sampled.of(mesh, coarse)) if largest_radius > 0 else 0.0
+    least = _least_radius(mesh, _coarse(mesh, fine)) if largest_radius > 0 else 0.0
     for radius in (r for r in radii if r >= least):
         surface = _surface(mesh, radius, fine, vertices)
         if surface.euler == 2:
@@ -134,6 +133,10 @@ def _without_handles(
         f"{mesh.name}: genus {1 - surface.euler // 2} is left after remeshing and closing handles "
         f"up to a radius of {largest:g} diagonals; genus 0 is required; cut the handles by hand"
     )
+
+
+def _coarse(mesh: Mesh, fine: _Sampled) -> _Sampled:
+    return fine if fine.resolution <= _COARSE else _Sampled.of(mesh, _COARSE)
 
 
 def _require_near(
