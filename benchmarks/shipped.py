@@ -31,6 +31,9 @@ COLUMNS = (
     "max σ",
     "bad faces",
     "novelty",
+    "gap, %",
+    "stretch",
+    "far",
     "seconds",
 )
 
@@ -46,11 +49,16 @@ def mapped(model: str, collection: ShapeCollection, split: str) -> dict[str, Sph
     return found
 
 
+def span(values: list[float], written: str) -> str:
+    """Smallest and largest value."""
+    return f"{min(values):{written}} to {max(values):{written}}"
+
+
 def row(model: str, collection: ShapeCollection, split: str) -> str:
     """One line of a Markdown table."""
     maps = mapped(model, collection, split)
     distortions = [map.distortion() for map in maps.values()]
-    novelty = [map.diagnostics["novelty"] for map in maps.values()]
+    said = [map.diagnostics for map in maps.values()]
     cells = (
         model,
         split,
@@ -59,8 +67,11 @@ def row(model: str, collection: ShapeCollection, split: str) -> str:
         f"{np.mean([d.mean for d in distortions]):.3f}",
         f"{max(d.max for d in distortions):.1f}",
         str(sum(int(map.bad_faces().sum()) for map in maps.values())),
-        f"{min(novelty):.1f} to {max(novelty):.1f}",
-        f"{np.mean([map.diagnostics['seconds'] for map in maps.values()]):.1f}",
+        span([found["novelty"] for found in said], ".1f"),
+        span([100 * found["gap"] for found in said], ".3f"),
+        span([found["stretch"] for found in said], ".2f"),
+        str(sum(bool(found["far"]) for found in said)),
+        f"{np.mean([found['seconds'] for found in said]):.1f}",
     )
     return f"| {' | '.join(cells)} |"
 

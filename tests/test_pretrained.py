@@ -9,6 +9,7 @@ from gensp.errors import DamagedFile, MissingStage, Unsupported
 from gensp.files import read_json, write_text
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import icosphere
+from gensp.methods.familiarity import LIMITS
 from gensp.methods.fitting import NoFit
 from gensp.pretrained import FITS, FOLDER, LARGEST, digest, shipped
 from gensp.pretrained.ship import entry_of, ship
@@ -20,6 +21,7 @@ def test_every_file_has_its_entry_and_is_small() -> None:
     assert {path.stem for path in FOLDER.glob("*.pt")} == set(NAMES)
     for name in NAMES:
         assert (FOLDER / f"{name}.pt").stat().st_size <= LARGEST
+        assert shipped()[name].limits.keys() == LIMITS.keys()
 
 
 def test_kinds_of_fits_are_classes() -> None:
@@ -36,7 +38,7 @@ def test_a_model_of_the_package_maps_what_it_never_saw(name: str) -> None:
     egg = Mesh(ball.vertices * np.array([1.0, 1.3, 0.9]) + 0.1 * ball.vertices**2, ball.faces)
     map = gensp.load(name)(egg)
     assert map.certify().bijective
-    assert map.diagnostics["novelty"] > shipped()[name].novel
+    assert map.diagnostics["far"]
 
 
 def test_a_model_that_registers_keeps_how_it_does() -> None:
@@ -61,12 +63,13 @@ def test_shipping_copies_the_model_and_how_it_is_used(
     write_parameterization(maps)
     monkeypatch.setattr("gensp.pretrained.ship.FOLDER", tmp_path)
     monkeypatch.setattr("gensp.pretrained.ship.TABLE", tmp_path / "models.json")
-    ship("copy", maps, known.path, novel=2.0)
+    ship("copy", maps, known.path)
     entry = read_json(tmp_path / "models.json")["copy"]
     assert entry["sha256"] == known.sha256 == digest(tmp_path / "copy.pt")
     assert entry["method"] == {"level": 5, "own": 0.5}
     assert entry["fit"] == {"kind": "register", "level": 4}
     assert entry["refine"] == {"pull": 7.0, "energy": "sigma"}
+    assert entry["limits"] == LIMITS
 
 
 def test_a_folder_that_is_no_parameterization_is_refused(tmp_path) -> None:

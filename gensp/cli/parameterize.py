@@ -74,7 +74,7 @@ def _figures(map: "SphericalMap", seconds: float) -> list[tuple[str, str]]:
         ("isometric σ", f"mean {measured.mean:.3f}, max {measured.max:.3f}"),
         ("isometric σ by area", f"mean {measured.area_weighted_mean:.3f}"),
         ("conformal σ", f"mean {measured.conformal_mean:.3f}, max {measured.conformal_max:.3f}"),
-        *_novelty(map),
+        *_familiarity(map),
         ("seconds", f"{seconds:.2f}"),
     ]
 
@@ -88,14 +88,18 @@ def _rung(map: "SphericalMap") -> list[tuple[str, str]]:
     return [("rung", f"{rung}: {RUNGS[rung]}{led}")] if rung in RUNGS else []
 
 
-def _novelty(map: "SphericalMap") -> list[tuple[str, str]]:
+def _familiarity(map: "SphericalMap") -> list[tuple[str, str]]:
     """How much the shape is like those that a model learnt from."""
-    if "novelty" not in map.diagnostics:
+    if "far" not in map.diagnostics:
         return []
+    from gensp.methods.familiarity import SIGNALS, told
+
     far = map.diagnostics["far"]
-    said = "far from what the model knows: its correspondences may be wrong"
-    meaning = said if far else "like the shapes that the model knows"
-    return [("novelty", f"{map.diagnostics['novelty']:.2f}, {meaning}")]
+    near = ", ".join(told(name, map.diagnostics[name]) for name in SIGNALS)
+    if not far:
+        return [("shape", f"like those that the model knows: {near}")]
+    said = f"far from what the model knows: {far}; its correspondences may be wrong"
+    return [("shape", said)]
 
 
 def _write_map(map: "SphericalMap", out: Path) -> list[Path]:

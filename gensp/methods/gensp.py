@@ -1,7 +1,7 @@
 """GenSP on one mesh: encode, generate, fit, invert, refine (paper §4, appendix C)."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self, TypeVar
@@ -16,10 +16,10 @@ from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.refine import invert, reliability
 from gensp.geometry.sphere import icosphere
 from gensp.geometry.spherical_map import SphericalMap
+from gensp.methods.familiarity import LIMITS, beyond, signals
 from gensp.methods.fitting import Known, SurfaceOnSphere, prolong
 from gensp.models import Atlas, Generator, PointNet2Encoder, load_model
 
-NOVEL = 6.0  # gaps between known codes: farther shapes are unlike those learnt from
 T = TypeVar("T")
 Fit = Callable[[SurfaceOnSphere, Mesh, Known], SurfaceOnSphere]
 Refinement = Callable[[Mesh, np.ndarray, np.ndarray, np.ndarray], SphericalMap]
@@ -46,8 +46,9 @@ class GenSP:
         Number of clouds whose codes are averaged; by default as in training.
     atlas
         The shapes learnt from, where the model keeps them: what `fit` may start from.
-    novel
-        From which novelty (`Atlas.novelty`) a shape is reported as far from those learnt from.
+    limits
+        Above which gap or stretch (`familiarity.signals`) a shape is reported as far from those
+        learnt from.
     own
         The surface that is fitted is the one generated at the shape's own code (1), the mean
         image of the shapes learnt from (0), or between. What all shapes share has no bias of its
@@ -73,12 +74,12 @@ class GenSP:
         draws: int | None = None,
         own: float = 1.0,
         atlas: Atlas | None = None,
-        novel: float = NOVEL,
+        limits: Mapping[str, float] = LIMITS,
     ) -> None:
         self.encoder, self.generator = encoder.eval(), generator.eval()
         self.fit, self.refine = fit, refine
         self.level, self.own = level, own
-        self.atlas, self.novel = atlas, novel
+        self.atlas, self.limits = atlas, limits
         self.points = _told("points", points, encoder)
         self.draws = _told("draws", draws, encoder)
 
@@ -124,12 +125,28 @@ class GenSP:
         """Where maps have what the generator has at p: one placement for all shapes."""
         return p if self.atlas is None else self.atlas.place(p)
 
-    def _novelty(self, code: Float[np.ndarray, " d"]) -> dict[str, Any]:
-        """How far the code is from those learnt from, where the model knows them."""
+    def fitted(
+        self, shape: Mesh, code: Float[np.ndarray, " d"], generated: Mesh
+    ) -> SurfaceOnSphere:
+        """The surface that the map of a normalised mesh is read off.
+
+        `generated` is the image at the shape's own code.
+        """
+        source = generated if self.own == 1 else self._towards_mean(code)
+        known = Known(code, lambda p: self.generate_at(code, p), self.atlas)
+        return self.fit(SurfaceOnSphere(source, icosphere(self.level).vertices), shape, known)
+
+    def familiarity(
+        self, shape: Mesh, code: Float[np.ndarray, " d"], fitted: SurfaceOnSphere
+    ) -> dict[str, Any]:
+        """How far a normalised mesh is from what the model knows, where it keeps that.
+
+        Its signals, and in `far` which of them are above their limits.
+        """
         if self.atlas is None:
             return {}
-        novelty = self.atlas.novelty(torch.from_numpy(code))
-        return {"novelty": novelty, "far": novelty > self.novel}
+        found = signals(self.atlas, code, fitted, shape)
+        return {**found, "far": beyond(found, self.limits)}
 
     def _towards_mean(self, code: Float[np.ndarray, " d"]) -> Mesh:
         """The mean image, with the part `own` of what the generator adds to it for a code."""
@@ -150,23 +167,21 @@ class GenSP:
         shape = normalize(mesh)
         code = _timed(seconds, "encode", lambda: self.encode(shape))
         generated = _timed(seconds, "generate", lambda: self.generate(code))
-        source = generated if self.own == 1 else self._towards_mean(code)
-        known = Known(code, lambda p: self.generate_at(code, p), self.atlas)
-        surface = SurfaceOnSphere(source, icosphere(self.level).vertices)
-        fitted = _timed(seconds, "fit", lambda: self.fit(surface, shape, known))
+        fitted = _timed(seconds, "fit", lambda: self.fitted(shape, code, generated))
         found = _timed(
             seconds, "invert", lambda: invert(shape.vertices, fitted.mesh, fitted.sphere)
         )
         predicted = _timed(seconds, "place", lambda: self.place(found.sphere))
         trust = reliability(predicted, shape.faces, found.distance)
         refined = _timed(seconds, "refine", lambda: self.refine(mesh, predicted, predicted, trust))
+        familiar = _timed(seconds, "compare", lambda: self.familiarity(shape, code, fitted))
         return replace(
             refined,
             diagnostics={
                 **refined.diagnostics,
                 **seconds,
                 "seconds": sum(seconds.values()),
-                **self._novelty(code),
+                **familiar,
             },
             arrays={
                 **refined.arrays,

@@ -1,6 +1,6 @@
 """What a model keeps of the shapes it learnt from: a surface that they share (ours)."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -8,6 +8,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from gensp.geometry.distortion import isometric_distortion, singular_values
+from gensp.geometry.mesh import Mesh
 from gensp.geometry.spherical_map import SphericalMap
 from gensp.models.network import Network
 
@@ -118,6 +120,31 @@ class Atlas(Network):
         own = gaps.fill_diagonal_(torch.inf).amin(dim=1).median()
         nearest = (self.codes - code).norm(dim=1).min()
         return float(nearest / own) if torch.isfinite(own) and own > 0 else float("inf")
+
+    def stretch(self, positions: Float[np.ndarray, "n 3"]) -> float:
+        """How far the shared vertices at `positions` are from the known shape that is most alike.
+
+        1 less the area-weighted mean of 1/σ from that shape, σ the isometric distortion (paper
+        §5.1): 0 for a known shape that is only bent, towards 1 where no part has a like part.
+        """
+        images = self.images.double().numpy()
+        return min(_stretch(Mesh(image, self.faces), positions) for image in images)
+
+    def without(self, shapes: Collection[int]) -> "Atlas":
+        """The same but for some of the known shapes, given by their places."""
+        kept = [k for k in range(len(self.codes)) if k not in shapes]
+        fewer = Atlas(**{**self.settings, "shapes": len(kept)})
+        each = ("images", "maps", "signals", "codes")
+        state = self.state_dict()
+        fewer.load_state_dict({**state, **{name: state[name][kept] for name in each}})
+        return fewer
+
+
+def _stretch(mesh: Mesh, positions: Float[np.ndarray, "n 3"]) -> float:
+    areas = mesh.face_areas
+    solid = areas > 0
+    sigma = isometric_distortion(singular_values(mesh.vertices, positions, mesh.faces[solid]))
+    return float(1 - np.average(1 / sigma, weights=areas[solid]))
 
 
 def _spread(codes: Tensor, limit: int) -> list[int]:

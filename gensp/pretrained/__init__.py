@@ -36,8 +36,8 @@ class Shipped:
         Kind of the fit (a key of `FITS`) and its arguments.
     refine
         Arguments of `CertifiedRefinement`.
-    novel
-        Shapes whose novelty is larger are far from what the model knows.
+    limits
+        Shapes whose gap or stretch is larger are far from what the model knows.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Shipped:
     method: Mapping[str, Any]
     fit: Mapping[str, Any]
     refine: Mapping[str, Any]
-    novel: float
+    limits: Mapping[str, float]
 
     @property
     def path(self) -> Path:
@@ -69,7 +69,7 @@ class Shipped:
         arguments = {key: value for key, value in self.fit.items() if key != "kind"}
         return {
             **self.method,
-            "novel": self.novel,
+            "limits": self.limits,
             "fit": resolve_name(FITS[self.fit["kind"]])(**arguments),
             "refine": CertifiedRefinement(**self.refine),
         }

@@ -11,6 +11,7 @@ from typing import Any
 from gensp.errors import DamagedFile, GenSPError, MissingStage, Unsupported
 from gensp.files import atomic_path, read_json, read_yaml, write_json
 from gensp.geometry.spherical_energy import ENERGIES
+from gensp.methods.familiarity import LIMITS
 from gensp.methods.refinement import CertifiedRefinement
 from gensp.models import load_model
 from gensp.pretrained import FITS, FOLDER, LARGEST, TABLE, Shipped, digest
@@ -64,12 +65,14 @@ def _entry(maps: Path, config: Any) -> dict[str, Any]:
     if entry["refine"].get("energy", "sigma") not in ENERGIES:
         raise ValueError(f"there is no energy {entry['refine']['energy']!r}")
     # Whatever a fit or a refinement does not take is told here, not when the model is loaded.
-    Shipped(name="", sha256="", novel=0.0, **entry).settings()
+    Shipped(name="", sha256="", limits=LIMITS, **entry).settings()
     return entry
 
 
-def ship(name: str, maps: Path, model: Path, novel: float) -> Path:
+def ship(name: str, maps: Path, model: Path) -> Path:
     """Copy a model.pt and write its entry.
+
+    Its limits are those of other models until `benchmarks/familiarity.py` has measured them.
 
     Raises
     ------
@@ -88,7 +91,7 @@ def ship(name: str, maps: Path, model: Path, novel: float) -> Path:
     with atomic_path(target) as temporary:
         temporary.write_bytes(model.read_bytes())
     table = read_json(TABLE) if TABLE.is_file() else {}
-    entry = {"sha256": digest(target), **use, "novel": novel}
+    entry = {"sha256": digest(target), **use, "limits": dict(LIMITS)}
     write_json(TABLE, dict(sorted({**table, name: entry}.items())))
     return target
 
@@ -101,11 +104,10 @@ def main() -> int:
     parser.add_argument(
         "--model", type=Path, help="model.pt (default: that of ../../full/finetune)"
     )
-    parser.add_argument("--novel", type=float, default=6.0, help="novelty of a foreign shape")
     chosen = parser.parse_args()
     model = chosen.model or chosen.maps.parent.parent / "full" / "finetune" / "model.pt"
     try:
-        sys.stdout.write(f"{ship(chosen.name, chosen.maps, model, chosen.novel)}\n")
+        sys.stdout.write(f"{ship(chosen.name, chosen.maps, model)}\n")
     except GenSPError as error:
         sys.stderr.write(f"error: {error}\n")
         return 2

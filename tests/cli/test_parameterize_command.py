@@ -256,3 +256,19 @@ def test_slow_maps_say_how_far_they_are(
     assert code == 0
     assert "bumpy: growing the map: 642 of 642 vertices" in lines
     assert all(line.startswith("bumpy: ") for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("shape", "meaning"),
+    [
+        ("heads/meshes/id012_neutral", "like those that the model knows: gap"),
+        ("quadrupeds/meshes/husky_rest", "far from what the model knows: gap"),
+    ],
+)
+def test_a_model_tells_what_is_far_from_what_it_knows(
+    gensp: Run, tmp_path: Path, shape: str, meaning: str
+) -> None:
+    mesh = Path(__file__).parents[2] / "data" / f"{shape}.ply"
+    code, said, _ = gensp("parameterize", mesh, "--model", "heads", "--out", tmp_path)
+    assert code == 0
+    assert meaning in said
