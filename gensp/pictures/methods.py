@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 # Beyond it a map is of no use, and the axis would hide what differs below.
 _LARGEST = 1e3
-_MANY = 10  # times the smallest mean σ: from there on its axis is logarithmic
+_MANY = 10  # times the smallest: from there on an axis is logarithmic
 _MARKERS = "osD^vP*X<>"
 
 
@@ -117,9 +117,12 @@ def _scatter(panel: "Axes", methods: Sequence[MethodFigures]) -> None:
             panel.plot(ends, height, **{**style, "marker": "|"}, markersize=8, linewidth=1)
         panel.plot([method.error], [method.sigma_mean], markersize=8, **style)
     heights = [m.sigma_mean for m in methods if m.sigma_mean and m.bounded]
-    # One method with a huge mean must not press the others together.
+    places = [x for m in methods for x in (m.error, m.rotated) if x and m.bounded]
+    # One method far off must not press the others together.
     if heights and max(heights) > _MANY * min(heights):
         panel.set_yscale("log")
+    if places and max(places) > _MANY * min(places):
+        panel.set_xscale("log")
     panel.set(xlabel="error / √area, no rotation (bar: the best one)", ylabel="mean σ")
     panel.margins(0.12)
     plain(panel, legend=False)
