@@ -6,6 +6,7 @@ import re
 import runpy
 import shlex
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -110,6 +111,17 @@ class Read(Exception):
     """The words were read; what comes after would run."""
 
 
+def _reading(name: str) -> Callable[..., NoReturn]:
+    """A method of the parser that ends when it has read the words."""
+    parse = getattr(argparse.ArgumentParser, name)
+
+    def reads(self: argparse.ArgumentParser, *given: Any) -> NoReturn:
+        parse(self, *given)
+        raise Read
+
+    return reads
+
+
 @of("python benchmarks/")
 def test_a_shown_benchmark_reads_its_words(
     page: str, line: str, monkeypatch: pytest.MonkeyPatch
@@ -118,13 +130,8 @@ def test_a_shown_benchmark_reads_its_words(
     if "ArgumentParser" not in (ROOT / script).read_text():
         assert words == []
         return
-    parse = argparse.ArgumentParser.parse_args
-
-    def reads(self: argparse.ArgumentParser, *given: Any) -> NoReturn:
-        parse(self, *given)
-        raise Read
-
-    monkeypatch.setattr(argparse.ArgumentParser, "parse_args", reads)
+    for name in ("parse_args", "parse_intermixed_args"):
+        monkeypatch.setattr(argparse.ArgumentParser, name, _reading(name))
     monkeypatch.setattr(sys, "argv", [script, *words])
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
     with pytest.raises(Read):
