@@ -10,10 +10,12 @@ from scipy.spatial.transform import Rotation
 from gensp.compiled.collapses import collapse_all
 from gensp.compiled.energies import energy_slopes_of, energy_values_of
 from gensp.compiled.fronts import extend_add
-from gensp.compiled.growth import insert, sweep
+from gensp.compiled.growth import insert, largest_distortion, sweep
 from gensp.compiled.projection import raise_negative
 from gensp.geometry.certificate import certify
-from gensp.geometry.mesh import Mesh, normalize
+from gensp.geometry.decimation import HalfEdges
+from gensp.geometry.distortion import singular_values
+from gensp.geometry.mesh import SPHERE_AREA, Mesh, normalize
 from gensp.geometry.newton import minimise_map
 from gensp.geometry.progress import listening
 from gensp.geometry.smat_energy import SmatEnergy
@@ -80,7 +82,7 @@ def test_nothing_is_left_to_compile(limbed):
     """The seconds of the first map are those of any other."""
     compile_loops()
     assert compile_loops() < 0.01
-    loops = (collapse_all, insert, sweep, energy_values_of, energy_slopes_of)
+    loops = (collapse_all, insert, largest_distortion, sweep, energy_values_of, energy_slopes_of)
     loops += (raise_negative, extend_add)
     before = [loop.signatures for loop in loops]
     assert all(len(kinds) >= 1 for kinds in before)
@@ -123,6 +125,32 @@ def test_each_method_is_the_best_by_its_own_energy(limbed):
     for name, energy in energies.items():
         values = {other: energy.energy(u) for other, u in maps.items()}
         assert min(values, key=values.__getitem__) == name, (name, values)
+
+
+def test_flexible_groups_of_ahsp_lead_to_a_lower_energy_than_a_growth_without_bound(limbed):
+    shape = normalize(limbed)
+    energy = SphericalEnergy(shape, triangle_weights(shape, 1e6), "amips")
+    grouped, doubled = (ahsp(bound=bound)(shape) for bound in (2.0, np.inf))
+    assert energy.energy(grouped.sphere) < energy.energy(doubled.sphere)
+
+
+def test_largest_distortion_of_the_growing_map_is_that_of_its_singular_values(limbed):
+    """Where areas are those of the energies: a determinant shrinks by its plane's distance."""
+    shape = normalize(limbed)
+    map = dirichlet()(shape)
+    edges = HalfEdges.of(shape.faces, len(shape.vertices))
+    n = len(shape.vertices)
+    chords = Mesh(map.sphere, shape.faces).area  # less than that of the sphere
+    found = largest_distortion(
+        np.arange(n), shape.vertices, map.sphere, edges.origin, edges.twin, edges.leaving,
+        chords / SPHERE_AREA, 0.0, np.empty(n, np.int64), np.empty((n, 8)),
+    )  # fmt: skip
+    large, small = singular_values(shape.vertices, map.sphere, shape.faces).T
+    corners = map.sphere[shape.faces[:, 0]]
+    normals = Mesh(map.sphere, shape.faces).face_normals
+    squares, determinant = large**2 + small**2, large * small * np.sum(normals * corners, axis=1)
+    large = np.sqrt((squares + np.sqrt(squares**2 - 4 * determinant**2)) / 2)
+    assert found == pytest.approx(np.maximum(large, large / determinant).max(), rel=1e-9)
 
 
 def test_barrier_of_smat_is_that_of_its_energy(limbed):

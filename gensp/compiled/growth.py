@@ -6,10 +6,12 @@ relaxed; `scale`, `least` as in `relax_vertex`; `pulls`, `goals` weights (n,) an
 (n, 3); `around`, `other`, `star` work space.
 """
 
+import numpy as np
 from numba import njit
 
 from gensp.compiled.halfedges import ring, split
 from gensp.compiled.relaxation import insert_vertex, relax_vertex
+from gensp.compiled.stars import gather, star_distortion
 
 
 @njit(cache=True)
@@ -26,11 +28,22 @@ def _relax_at(
 
 
 @njit(cache=True)
+def _distortion_at(i, x, u, origin, twin, leaving, scale, least, around, star):
+    """Largest σ_t of the triangles at vertex i."""
+    size = ring(leaving[i], origin, twin, around)
+    gather(around, size, i, x, u, scale, least, star)
+    return star_distortion(u[i], around, size, u, star)
+
+
+@njit(cache=True)
 def insert(
-    order, first, last, x, u, origin, twin, leaving, moved, scale, least, energy, pulls, goals,
-    around, other, star,
+    order, first, last, fewest, bound, x, u, origin, twin, leaving, moved, scale, least, energy,
+    pulls, goals, around, other, star,
 ):  # fmt: skip
-    """Insert order[first:last]; gives where it stopped: before `last` if one has no place."""
+    """Insert order[first:last]; gives where it ended, and whether the next one has a place.
+
+    From `fewest` on it ends with the first vertex that has a triangle of σ_t > `bound`.
+    """
     for k in range(first, last):
         h = order[k]
         i = origin[h]
@@ -39,7 +52,7 @@ def insert(
         if not insert_vertex(
             i, around, size, x, u, scale, least, energy, pulls[i], goals[i], star
         ):
-            return k
+            return k, False
         moved[i] = 1.0
         for visit in range(2):
             steps = 4 - 3 * visit
@@ -53,7 +66,11 @@ def insert(
                         around[n], steps // 4, x, u, origin, twin, leaving, moved, scale, least,
                         energy, pulls, goals, other, star,
                     )  # fmt: skip
-    return last
+        if k + 1 < fewest or bound == np.inf:
+            continue
+        if _distortion_at(i, x, u, origin, twin, leaving, scale, least, other, star) > bound:
+            return k + 1, True
+    return last, True
 
 
 @njit(cache=True)
@@ -69,3 +86,15 @@ def sweep(
                 i, steps, x, u, origin, twin, leaving, moved, scale, least, energy, pulls, goals,
                 around, star,
             )  # fmt: skip
+
+
+@njit(cache=True)
+def largest_distortion(
+    active, x, u, origin, twin, leaving, scale, least, around, star
+):  # fmt: skip
+    """Largest σ_t of all triangles of the map so far."""
+    worst = 1.0
+    for i in active:
+        found = _distortion_at(i, x, u, origin, twin, leaving, scale, least, around, star)
+        worst = max(worst, found)
+    return worst

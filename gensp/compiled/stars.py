@@ -74,6 +74,28 @@ def star_energy(
 
 
 @njit(cache=True)
+def star_distortion(
+    p: np.ndarray, around: np.ndarray, size: int, u: np.ndarray, star: np.ndarray
+) -> float:
+    """Largest σ_t = max(σ₁, 1/σ₂) of the sound triangles of a star with its centre at p.
+
+    The product of both is the energies' determinant, a little less than that of the chords.
+    """
+    worst = 1.0
+    for k in range(size):
+        a, b = around[k], around[(k + 1) % size]
+        gx, gy, gz = p[0] - u[a, 0], p[1] - u[a, 1], p[2] - u[a, 2]
+        fx, fy, fz = p[0] - u[b, 0], p[1] - u[b, 1], p[2] - u[b, 2]
+        j = (gx * star[k, 5] + gy * star[k, 6] + gz * star[k, 7]) / star[k, 3]
+        near = gx * gx + gy * gy + gz * gz
+        far = fx * fx + fy * fy + fz * fz
+        d = (star[k, 0] + star[k, 1] * far + star[k, 2] * near) / star[k, 3]
+        longest = np.sqrt(0.5 * (d + np.sqrt(max(d * d - 4 * j * j, 0.0))))
+        worst = max(worst, longest, longest / j)
+    return worst
+
+
+@njit(cache=True)
 def _frame(p: np.ndarray) -> tuple[float, float, float, float, float, float]:
     """Two orthonormal tangents at p."""
     if abs(p[2]) < 0.7:

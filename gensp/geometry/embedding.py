@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 
 from gensp.compiled.collapses import BASE
 from gensp.compiled.energies import ENERGIES
-from gensp.compiled.growth import insert, sweep
+from gensp.compiled.growth import insert, largest_distortion, sweep
 from gensp.errors import NotEmbeddable
 from gensp.geometry.alignment import best_rotation
 from gensp.geometry.decimation import Collapses, Priority, decimate
@@ -28,6 +28,7 @@ _TETRAHEDRON = unit(np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]
 _STILL = 1e-3  # of the mean edge: vertices that their ring moved by less are not visited
 _WORTH = 0.7  # of the vertices: a polish later than that is left to the whole map
 _FEW, _FEW_PASSES = 300, 4  # vertices of a map that is relaxed more often, times
+_GROUP = 1.05  # growth of the map by the smallest group of new vertices
 _STEPS = 2  # Newton steps of a vertex on each visit
 
 Polish = Callable[
@@ -57,6 +58,10 @@ class Schedule:
         Passes over the whole map at the end.
     priority
         Order of the collapses, see `decimation`.
+    bound
+        Largest σ_t wished for. A group of new vertices ends with the first that has a worse
+        triangle, though not before the map has grown by 2 %; where one is left after the group
+        and what it moved are relaxed, the whole map is. Infinite: groups are of fixed growth.
     """
 
     energy: str = "dirichlet"
@@ -66,6 +71,7 @@ class Schedule:
     polish: tuple[int, ...] | Literal["sets"] = (400, 3000, 20_000)
     last: int = 3
     priority: Priority = "quadric"
+    bound: float = np.inf
 
 
 def embed(
@@ -161,16 +167,17 @@ class _Growing:
         return self.halfedges.origin.reshape(-1, 3)[alive]
 
     def grow(self, limit: int) -> None:
-        """Insert vertices up to the next general relaxation, or to `limit` vertices, and relax."""
-        wanted = min(limit, int(np.ceil(self.count * self.schedule.growth)))
-        settings = self._settings()
-        while self.count < wanted:
-            reached = insert(
-                self.order, self.inserted, wanted - BASE, *self._arrays(), *settings, *self.work
-            )
-            if reached == self.inserted:
-                self._fail()
-            self.inserted = reached
+        """Insert a group of vertices, until there are `limit` at most, and relax."""
+        fewest, most = (
+            min(limit, int(np.ceil(self.count * growth)))
+            for growth in (_GROUP, self.schedule.growth)
+        )
+        group = (self.inserted, most - BASE, fewest - BASE, self.schedule.bound)
+        self.inserted, placed = insert(
+            self.order, *group, *self._arrays(), *self._settings(), *self.work
+        )
+        if not placed:
+            self._fail()
         self._relax()
 
     def improve(self, polish: Polish) -> None:
@@ -218,14 +225,25 @@ class _Growing:
         return scale, least, ENERGIES[self.schedule.energy], self.pulls * share, self.goals
 
     def _relax(self) -> None:
+        passes = self.schedule.passes * (_FEW_PASSES if self.count < _FEW else 1)
         active = np.unique(self.faces())
+        self._sweep(active, self.schedule.last if self.whole else passes)
+        if not self.whole and self.schedule.bound < self._distortion(active):
+            self.moved[active] = 1.0
+            self._sweep(active, passes)
+
+    def _sweep(self, active: Int[np.ndarray, " k"], passes: int) -> None:
         still = _STILL * np.sqrt(SPHERE_AREA / self.count)
         settings = self._settings()
-        passes = self.schedule.passes * (_FEW_PASSES if self.count < _FEW else 1)
-        if self.whole:
-            passes = self.schedule.last
         for _ in range(passes):
             sweep(active, still, _STEPS, *self._arrays(), *settings, *self.work)
+
+    def _distortion(self, active: Int[np.ndarray, " k"]) -> float:
+        """Largest σ_t of the map so far."""
+        *arrays, _ = self._arrays()
+        scale, least, *_ = self._settings()
+        around, _, star = self.work
+        return largest_distortion(active, *arrays, scale, least, around, star)
 
     def _fail(self) -> None:
         h = int(self.order[self.inserted])

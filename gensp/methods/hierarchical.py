@@ -202,14 +202,20 @@ def stretch() -> Hierarchical:
     )
 
 
-def ahsp() -> Hierarchical:
-    """Exponential isometric energy over all triangles alike (Hu, Fu & Liu 2017).
+def ahsp(*, bound: float = 2.0) -> Hierarchical:
+    """Flat regions first, flexible groups, exponential isometric energy (Hu, Fu & Liu 2017).
 
-    The map grows slowly: the energy is so steep that a vertex which is left behind stays behind.
+    Parameters
+    ----------
+    bound
+        Largest σ_t wished for: it ends a group of new vertices, and calls for a relaxation of the
+        whole map.
     """
     return Hierarchical(
         name="ahsp",
-        schedule=Schedule(energy="amips", floor=1e6, growth=1.1, passes=10, polish=(), last=100),
+        schedule=Schedule(
+            energy="amips", floor=1e6, growth=2.0, passes=5, polish=(), last=100, bound=bound
+        ),
     )
 
 
@@ -258,5 +264,6 @@ def compile_loops() -> float:
 def _map_something_small() -> None:
     ball = icosphere(1)
     dirichlet()(ball)
+    ahsp()(ball)  # groups of flexible size
     matrix = cotangent_laplacian(ball) + sp.eye(len(ball.vertices))
     MultifrontalCholesky(matrix.tocsc(), ball.vertices)  # of large maps only
