@@ -3,6 +3,7 @@
 import re
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,9 +12,11 @@ from hypothesis import strategies as st
 from slivers import slivers
 
 from gensp.errors import NotEmbeddable
-from gensp.geometry.mesh import Mesh
+from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.sphere import unit
+from gensp.geometry.spherical_energy import SphericalEnergy, triangle_weights
 from gensp.geometry.spherical_map import SphericalMap, load_map, save_map
+from gensp.methods.hierarchical import NewtonPolish, dirichlet
 from gensp.methods.refinement import HIERARCHICAL, CertifiedRefinement
 from gensp.methods.table import CERTIFIED, per_shape
 
@@ -79,3 +82,23 @@ def test_few_meshes_are_refused(name: str) -> None:
     meshes = [slivers(k, flat=10.0 ** (k - 6), limbs=k % 2 * 3) for k in range(6)]
     refused = [k for k, mesh in enumerate(meshes) if refusal(name, mesh)]
     assert len(refused) <= REFUSED[name], refused
+
+
+def test_our_method_reaches_the_minimum_where_triangles_are_nearly_flat() -> None:
+    """By way of a milder energy; without it mean σ was 11 after 150 steps."""
+    mesh = slivers(0)
+    ours, longer = dirichlet(), dirichlet()
+    assert isinstance(longer.fine, NewtonPolish)
+    longer = replace(longer, fine=replace(longer.fine, max_iterations=2000, detour=False))
+    reached, known = ours(mesh), longer(mesh)
+    assert known.diagnostics["converged"]
+    shape = normalize(mesh)
+    energy = SphericalEnergy(shape, triangle_weights(shape, 3.0), "sigma").energy
+    assert energy(reached.sphere) <= 1.02 * energy(known.sphere)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 8])
+def test_our_method_converges_on_slivers_all_round(seed: int) -> None:
+    """Within 150 steps it did not, with a mean σ of 330 to 670."""
+    map = dirichlet()(slivers(seed, limbs=0))
+    assert map.diagnostics["converged"]

@@ -1,7 +1,8 @@
 """Projected Newton on the sphere: the least distorted map near a start, without folds."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -59,6 +60,7 @@ def refine_map(
     tolerance: float = 1e-4,
     weights: Float[np.ndarray, " m"] | None = None,
     energy: str = "dirichlet",
+    detour: bool = False,
 ) -> Refined:
     """`minimise_map` with a distortion energy of `compiled.energies.ENERGIES`.
 
@@ -68,21 +70,31 @@ def refine_map(
         Factor of every triangle in E, one by default.
     energy
         Name of E.
+    detour
+        Where the iterations do not reach the minimum, go there by way of that of the symmetric
+        Dirichlet energy, which is less steep where a triangle is nearly collapsed.
 
     Raises
     ------
     NotEmbeddable
         The start has bad faces.
     """
-    return minimise_map(
+    minimise = partial(
+        minimise_map,
         mesh,
-        start,
-        SphericalEnergy(mesh, weights, energy),
         target=target,
         pull=pull,
         max_iterations=max_iterations,
         tolerance=tolerance,
     )
+    wanted = SphericalEnergy(mesh, weights, energy)
+    direct = minimise(start, wanted)
+    if direct.converged or not detour or energy == "dirichlet":
+        return direct
+    milder = minimise(start, SphericalEnergy(mesh, weights))
+    second = minimise(milder.sphere, wanted)
+    made = direct.iterations + milder.iterations + second.iterations
+    return replace(min(direct, second, key=lambda found: found.energy), iterations=made)
 
 
 def minimise_map(

@@ -35,7 +35,7 @@ class NewtonPolish:
         Of `compiled.energies.ENERGIES`.
     floor
         Of `spherical_energy.triangle_weights`.
-    max_iterations, tolerance
+    max_iterations, tolerance, detour
         Of `newton.refine_map`.
     """
 
@@ -43,6 +43,7 @@ class NewtonPolish:
     floor: float = 1.0
     max_iterations: int = 150
     tolerance: float = 1e-4
+    detour: bool = False
 
     def __call__(self, mesh: Mesh, start: Float[np.ndarray, "n 3"]) -> Refined:
         """The refined map of a mesh at area 4π."""
@@ -53,6 +54,7 @@ class NewtonPolish:
             energy=self.energy,
             max_iterations=self.max_iterations,
             tolerance=self.tolerance,
+            detour=self.detour,
         )
 
 
@@ -187,7 +189,7 @@ def dirichlet(
             few=NewtonPolish(energy="dirichlet", max_iterations=30, tolerance=1e-3),
             many=NewtonPolish(energy=energy, floor=floor, max_iterations=30, tolerance=1e-3),
         ),
-        fine=NewtonPolish(energy=energy, floor=floor, tolerance=tolerance),
+        fine=NewtonPolish(energy=energy, floor=floor, tolerance=tolerance, detour=True),
     )
 
 

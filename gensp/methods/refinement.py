@@ -169,6 +169,7 @@ class NewtonRefinement:
             energy=self.energy,
             max_iterations=self.max_iterations,
             tolerance=self.tolerance,
+            detour=True,
         )
 
 
