@@ -44,7 +44,7 @@ class Problem(Protocol):
         ...
 
     def folds(self, x: Positions) -> bool:
-        """Whether a triangle folds that rounding hides from the energy."""
+        """Whether the map is folded in a way that the energy does not see."""
         ...
 
 

@@ -14,7 +14,12 @@ from gensp.geometry.assembly import HessianPattern
 from gensp.geometry.descent import minimised
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.operators import lumped_mass
-from gensp.geometry.predicates import bad_faces, spherical_orientation
+from gensp.geometry.predicates import (
+    bad_faces,
+    map_degree,
+    signed_preimages,
+    spherical_orientation,
+)
 from gensp.geometry.sphere import tangent_frame, unit
 from gensp.geometry.spherical_energy import SphericalEnergy, project_positive
 
@@ -129,7 +134,8 @@ def minimise_map(
         )
     # The antipodal map turns every orientation round: minimise there, and turn back.
     side = 1.0 if spherical_orientation(u, mesh.faces)[0] > 0 else -1.0
-    problem = _PulledEnergy(mesh, energy, side * (u if target is None else unit(target)), pull)
+    goal = u if target is None else unit(target)
+    problem = _PulledEnergy(mesh, energy, side * u, side * goal, pull)
     found = minimised(problem, side * u, max_iterations, relative=tolerance, absolute=decrement)
     return Refined(side * found.positions, found.energy, found.iterations, found.converged)
 
@@ -141,11 +147,12 @@ class _PulledEnergy:
         self,
         mesh: Mesh,
         distortion: MapEnergy,
+        start: Float[np.ndarray, "n 3"],
         target: Float[np.ndarray, "n 3"],
         pull: float | Float[np.ndarray, " n"],
     ) -> None:
         self.points, self.faces, self.target = mesh.vertices, mesh.faces, target
-        self.distortion = distortion
+        self.distortion, self.degree = distortion, map_degree(start, mesh.faces)
         areas = lumped_mass(mesh.vertices, mesh.faces)
         self.spring = areas * pull
         self.ridge = areas * _RIDGE
@@ -175,4 +182,8 @@ class _PulledEnergy:
         return lambda part: unit(u + part * direction)
 
     def folds(self, u: Float[np.ndarray, "n 3"]) -> bool:
-        return bool((spherical_orientation(u, self.faces) <= 0).any())
+        orientation = spherical_orientation(u, self.faces)
+        if (orientation <= 0).any():
+            return True
+        # A long step can wind a ring twice around its vertex with every face the right way round.
+        return signed_preimages(u, self.faces, orientation) != self.degree
