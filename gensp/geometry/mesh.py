@@ -20,13 +20,17 @@ from gensp.geometry.wavefront import read_obj
 SPHERE_AREA = 4 * np.pi
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Mesh:
     """A triangle mesh: positions (n, 3) in float64 and faces (m, 3) in int64."""
 
     vertices: Float[np.ndarray, "n 3"]
     faces: Int[np.ndarray, "m 3"]
     name: str = "mesh"
+
+    def __repr__(self) -> str:
+        sizes = f"{len(self.vertices)} vertices, {len(self.faces)} faces"
+        return f"{type(self).__name__}({self.name!r}, {sizes})"
 
     @cached_property
     def face_areas(self) -> Float[np.ndarray, " m"]:

@@ -22,7 +22,7 @@ from gensp.geometry.sphere import icosphere, unit
 from gensp.geometry.topology import sphere_fault
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SphericalMap:
     """A piecewise linear map m between a surface and the unit sphere.
 
@@ -44,6 +44,10 @@ class SphericalMap:
     name: str = "mesh"
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
     arrays: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        sizes = f"{len(self.sphere)} vertices, {len(self.faces)} faces"
+        return f"{type(self).__name__}({self.name!r}, {sizes})"
 
     @property
     def mesh(self) -> Mesh:

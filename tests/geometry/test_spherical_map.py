@@ -86,3 +86,9 @@ def test_incomplete_file_is_named(tmp_path):
     save_npz(tmp_path / "half.npz", vertices=np.zeros((3, 3)))
     with pytest.raises(UnreadableMesh, match=r"half\.npz: arrays faces, sphere are missing"):
         load_map(tmp_path / "half.npz")
+
+
+def test_what_is_printed_is_one_line(squeezed):
+    n, m = len(squeezed.sphere), len(squeezed.faces)
+    assert repr(squeezed) == f"SphericalMap('{squeezed.name}', {n} vertices, {m} faces)"
+    assert repr(squeezed.mesh) == f"Mesh('{squeezed.name}', {n} vertices, {m} faces)"
