@@ -58,12 +58,13 @@ def implicit_stage(folder: Path, **changes: object) -> ImplicitStage:
     return ImplicitStage(**{**settings, **changes})
 
 
-def trainer(epochs: int, *callbacks: ModelCheckpoint) -> Trainer:
+def trainer(epochs: int, *callbacks: Callback) -> Trainer:
     return Trainer(
         max_epochs=epochs,
         accelerator="cpu",
         logger=False,
-        enable_checkpointing=bool(callbacks),
+        # Without a callback that says where, Lightning keeps checkpoints in the working folder.
+        enable_checkpointing=any(isinstance(each, ModelCheckpoint) for each in callbacks),
         enable_progress_bar=False,
         enable_model_summary=False,
         inference_mode=False,
