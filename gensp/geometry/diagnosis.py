@@ -15,7 +15,13 @@ from gensp.errors import BadMesh
 from gensp.geometry.mesh import MAX_FACES, Mesh, require_genus_zero, signed_volume
 from gensp.geometry.topology import edge_counts, half_edges, known_faces
 
-_SINGULAR = {"vertices": "vertex", "edges": "edge", "faces": "face", "holes": "hole"}
+_SINGULAR = {
+    "vertices": "vertex",
+    "edges": "edge",
+    "faces": "face",
+    "holes": "hole",
+    "parts": "part",
+}
 REPAIR, REMESH = "gensp repair", "gensp repair --remesh"
 
 
@@ -75,7 +81,7 @@ class Diagnosis:
     def findings(self) -> list[tuple[str, str]]:
         """Every finding with its remedy, the gravest first."""
         rows = [(count, words, remedy) for count, words, remedy in self._table() if count]
-        told = [(_counted(count, words), remedy) for count, words, remedy in rows]
+        told = [(counted(count, words), remedy) for count, words, remedy in rows]
         if self.genus:
             told.append((f"genus {self.genus}", REMESH))
         if self.inward:
@@ -95,7 +101,7 @@ class Diagnosis:
             (self.duplicate_faces, "duplicate faces", REPAIR),
             (self.nonmanifold_edges, "non-manifold edges", REPAIR),
             (self.nonmanifold_vertices, "non-manifold vertices", REPAIR),
-            (self.boundary_edges, f"boundary edges in {_counted(self.holes, 'holes')}", REPAIR),
+            (self.boundary_edges, f"boundary edges in {counted(self.holes, 'holes')}", REPAIR),
             (self.misoriented_edges, "misoriented edges", REPAIR),
             (parts, "components", REPAIR),
             (self.unused_vertices, "vertices without a face", REPAIR),
@@ -138,11 +144,11 @@ def _complaint(mesh: Mesh, max_faces: int) -> str:
     return ""
 
 
-def _counted(count: int, words: str) -> str:
+def counted(count: int, words: str) -> str:
     """The number and its words, whose first noun comes in the plural."""
     if count == 1:
-        plural = next(noun for noun in _SINGULAR if noun in words)
-        words = words.replace(plural, _SINGULAR[plural], 1)
+        plural = next((noun for noun in _SINGULAR if noun in words), "")
+        words = words.replace(plural, _SINGULAR.get(plural, ""), 1)
     return f"{count} {words}"
 
 

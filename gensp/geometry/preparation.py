@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from gensp.errors import BadMesh, EmptyLevelSet
-from gensp.geometry.diagnosis import Diagnosis, diagnose
+from gensp.geometry.diagnosis import Diagnosis, counted, diagnose
 from gensp.geometry.distance import hausdorff
 from gensp.geometry.mesh import MAX_FACES, Mesh, simplify
 from gensp.geometry.repair import bounding_diagonal, remedies, repair, require_steps, sane
@@ -118,7 +118,7 @@ class Preparation:
         done: list[str] = []
         if own:
             kept = repair(mesh, steps=own, weld=self.weld, largest_hole=self.largest_hole)
-            mesh, done = kept.mesh, [f"{count} {words}" for words, count in kept.steps.items()]
+            mesh, done = kept.mesh, [counted(count, words) for words, count in kept.steps.items()]
         if SOLID in self.repair and not self._diagnosed(mesh).usable:
             mesh, more = self._solid(sane(mesh))
             done += more

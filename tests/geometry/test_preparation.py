@@ -46,7 +46,7 @@ def test_what_is_needed_mends(torn: Mesh, bumpy: Mesh, rng: np.random.Generator)
     assert found.mesh is not None
     require_genus_zero(found.mesh)
     assert hausdorff(found.mesh, bumpy) < 1e-9
-    assert found.done == ("1 faces turned", "1 parts dropped", "1 holes filled")
+    assert found.done == ("1 face turned", "1 part dropped", "1 hole filled")
     assert found.hausdorff is not None
     assert found.hausdorff > 0.1  # the part that was dropped lies far off
 
