@@ -121,8 +121,10 @@ def _scatter(panel: "Axes", methods: Sequence[MethodFigures]) -> None:
     # One method far off must not press the others together.
     if heights and max(heights) > _MANY * min(heights):
         panel.set_yscale("log")
+        decade_ticks(panel.yaxis)
     if places and max(places) > _MANY * min(places):
         panel.set_xscale("log")
+        decade_ticks(panel.xaxis)
     panel.set(xlabel="error / √area, no rotation (bar: the best one)", ylabel="mean σ")
     panel.margins(0.12)
     plain(panel, legend=False)
