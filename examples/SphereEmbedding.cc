@@ -4,6 +4,7 @@
 // writes one line `v x y z` for every vertex, in the order of the mesh, with all digits of a double.
 // How to build it: docs/methods.md, programs of other authors.
 
+#include <algorithm>
 #include <fstream>
 #include <iomanip>
 #include <iostream>
@@ -18,8 +19,9 @@ namespace {
 
 bool read(const char* path, SurfaceMaps::TriMesh& mesh) {
     std::ifstream file(path);
-    for (std::string line, kind; std::getline(file, line);) {
+    for (std::string line; std::getline(file, line);) {
         std::istringstream words(line);
+        std::string kind;
         words >> kind;
         if (kind == "v") {
             double x, y, z;
@@ -28,6 +30,8 @@ bool read(const char* path, SurfaceMaps::TriMesh& mesh) {
         } else if (kind == "f") {
             int a, b, c;
             if (!(words >> a >> b >> c)) return false;
+            const int least = std::min({a, b, c}), most = std::max({a, b, c});
+            if (least < 1 || most > static_cast<int>(mesh.n_vertices())) return false;
             const auto corner = [](int index) { return OpenMesh::VertexHandle(index - 1); };
             if (!mesh.add_face(corner(a), corner(b), corner(c)).is_valid()) return false;
         }

@@ -40,7 +40,7 @@ def insert(
     order, first, last, fewest, bound, x, u, origin, twin, leaving, moved, scale, least, energy,
     pulls, goals, around, other, star,
 ):  # fmt: skip
-    """Insert order[first:last]; gives where it ended, and whether the next one has a place.
+    """Insert order[first:last]; gives where it ended, and False if the vertex there has no place.
 
     From `fewest` on it ends with the first vertex that has a triangle of σ_t > `bound`.
     """
@@ -89,9 +89,7 @@ def sweep(
 
 
 @njit(cache=True)
-def largest_distortion(
-    active, x, u, origin, twin, leaving, scale, least, around, star
-):  # fmt: skip
+def largest_distortion(active, x, u, origin, twin, leaving, scale, least, around, star):
     """Largest σ_t of all triangles of the map so far."""
     worst = 1.0
     for i in active:

@@ -79,7 +79,8 @@ def star_distortion(
 ) -> float:
     """Largest σ_t = max(σ₁, 1/σ₂) of the sound triangles of a star with its centre at p.
 
-    The product of both is the energies' determinant, a little less than that of the chords.
+    σ₁σ₂ is the energies' determinant: that of the chords times the distance of their plane, so
+    that coarse maps look more distorted than they are.
     """
     worst = 1.0
     for k in range(size):

@@ -146,9 +146,9 @@ def _complaint(mesh: Mesh, max_faces: int) -> str:
 
 def counted(count: int, words: str) -> str:
     """The number and its words, whose first noun comes in the plural."""
-    if count == 1:
-        plural = next((noun for noun in _SINGULAR if noun in words), "")
-        words = words.replace(plural, _SINGULAR.get(plural, ""), 1)
+    for plural, singular in _SINGULAR.items():
+        if count == 1 and plural in words:
+            return f"1 {words.replace(plural, singular, 1)}"
     return f"{count} {words}"
 
 

@@ -48,7 +48,7 @@ class Schedule:
         Triangles smaller than this part of the mean area weigh as much as that; large values weigh
         all triangles alike.
     growth
-        The whole map is relaxed whenever it has this many times the vertices.
+        The whole map is relaxed whenever it has this many times the vertices, at the latest.
     passes
         Passes over all vertices at each such time.
     polish
@@ -59,9 +59,10 @@ class Schedule:
     priority
         Order of the collapses, see `decimation`.
     bound
-        Largest σ_t wished for. A group of new vertices ends with the first that has a worse
-        triangle, though not before the map has grown by 2 %; where one is left after the group
-        and what it moved are relaxed, the whole map is. Infinite: groups are of fixed growth.
+        Largest σ_t wished for, as the energies see it (`stars.star_distortion`). A group of new
+        vertices ends with the first that has a worse triangle, though not before the map has grown
+        by 5 %; where one is left after the group and what it moved are relaxed, the whole map is.
+        Infinite: groups are of fixed growth.
     """
 
     energy: str = "dirichlet"
@@ -172,7 +173,7 @@ class _Growing:
             min(limit, int(np.ceil(self.count * growth)))
             for growth in (_GROUP, self.schedule.growth)
         )
-        group = (self.inserted, most - BASE, fewest - BASE, self.schedule.bound)
+        group = (self.inserted, most - BASE, fewest - BASE, float(self.schedule.bound))
         self.inserted, placed = insert(
             self.order, *group, *self._arrays(), *self._settings(), *self.work
         )
@@ -228,7 +229,9 @@ class _Growing:
         passes = self.schedule.passes * (_FEW_PASSES if self.count < _FEW else 1)
         active = np.unique(self.faces())
         self._sweep(active, self.schedule.last if self.whole else passes)
-        if not self.whole and self.schedule.bound < self._distortion(active):
+        if self.whole or np.isinf(self.schedule.bound):
+            return
+        if self._distortion(active) > self.schedule.bound:
             self.moved[active] = 1.0
             self._sweep(active, passes)
 

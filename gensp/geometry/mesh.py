@@ -20,7 +20,7 @@ from gensp.geometry.wavefront import read_obj
 SPHERE_AREA = 4 * np.pi
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class Mesh:
     """A triangle mesh: positions (n, 3) in float64 and faces (m, 3) in int64."""
 

@@ -76,8 +76,10 @@ def refine_map(
     energy
         Name of E.
     detour
-        Where the iterations do not reach the minimum, go there by way of that of the symmetric
-        Dirichlet energy, which is less steep where a triangle is nearly collapsed.
+        Where the minimisation does not converge, try again from the same start by way of the
+        symmetric Dirichlet energy, which is less steep where a triangle is nearly collapsed. The
+        lower of both results is taken, and their iterations are added up: three times
+        `max_iterations` at most.
 
     Raises
     ------
@@ -87,7 +89,7 @@ def refine_map(
     minimise = partial(
         minimise_map,
         mesh,
-        target=target,
+        target=start if target is None else target,
         pull=pull,
         max_iterations=max_iterations,
         tolerance=tolerance,
@@ -97,7 +99,10 @@ def refine_map(
     if direct.converged or not detour or energy == "dirichlet":
         return direct
     milder = minimise(start, SphericalEnergy(mesh, weights))
-    second = minimise(milder.sphere, wanted)
+    try:
+        second = minimise(milder.sphere, wanted)
+    except NotEmbeddable:  # the last digits of a face that is hardly there
+        return direct
     made = direct.iterations + milder.iterations + second.iterations
     return replace(min(direct, second, key=lambda found: found.energy), iterations=made)
 
@@ -113,7 +118,7 @@ def minimise_map(
     tolerance: float = 1e-4,
     decrement: float = 0.0,
 ) -> Refined:
-    """As `refine_map`, of any energy E of maps of the mesh.
+    """As `refine_map`, of any energy E of maps of the mesh; the degree stays that of the start.
 
     Parameters
     ----------

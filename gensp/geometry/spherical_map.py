@@ -22,7 +22,7 @@ from gensp.geometry.sphere import icosphere, unit
 from gensp.geometry.topology import sphere_fault
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class SphericalMap:
     """A piecewise linear map m between a surface and the unit sphere.
 

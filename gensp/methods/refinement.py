@@ -61,7 +61,8 @@ class NewtonRefinement:
         by their true area, the smallest faces take the largest distortion; weighed all alike
         (a large floor), the map would follow the density of the mesh and lose consistency.
     max_iterations, tolerance
-        Of Newton's method.
+        Of Newton's method; where it does not converge by another energy than the symmetric
+        Dirichlet energy, it begins again by way of that (`newton.refine_map`).
     crowding
         In a start without folds, faces that hold less than this part of their share of the sphere
         are spread out first.

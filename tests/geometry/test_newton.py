@@ -136,3 +136,17 @@ def test_derivatives_that_are_not_finite_end_the_iteration():
     refined = minimise_map(ball, start, _WithoutHessian(ball))
     assert not refined.converged
     np.testing.assert_array_equal(refined.sphere, unit(start))
+
+
+def test_a_detour_is_held_where_the_start_was(bumpy):
+    """Without a target the start pulls, also after the milder energy has moved the map away."""
+    shape = normalize(bumpy)
+    start = unit(shape.vertices)
+    few = {"energy": "sigma", "pull": 30.0, "max_iterations": 2, "tolerance": 1e-12}
+    direct = refine_map(shape, start, **few)
+    held = refine_map(shape, start, detour=True, **few)
+    told = refine_map(shape, start, target=start, detour=True, **few)
+    assert not direct.converged
+    assert held.energy <= direct.energy
+    assert held.energy < refine_map(shape, start, **{**few, "max_iterations": 1}).energy
+    np.testing.assert_array_equal(held.sphere, told.sphere)
