@@ -147,6 +147,5 @@ def test_a_detour_is_held_where_the_start_was(bumpy):
     held = refine_map(shape, start, detour=True, **few)
     told = refine_map(shape, start, target=start, detour=True, **few)
     assert not direct.converged
-    assert held.energy <= direct.energy
-    assert held.energy < refine_map(shape, start, **{**few, "max_iterations": 1}).energy
+    assert held.energy < direct.energy
     np.testing.assert_array_equal(held.sphere, told.sphere)
