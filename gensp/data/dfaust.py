@@ -114,6 +114,10 @@ class DFaust:
         files = sorted({entry.file for entry in self._sequences.values()})
         return content_hash([_file_digest(path) for path in files], self._split, self.points)
 
+    def unread_keypoints(self) -> dict[str, str]:
+        """None: there are no keypoints."""
+        return {}
+
     def columns(self, id: str) -> dict[str, str]:
         """Template, subject, sequence and licence."""
         key, _ = id.rsplit("_", 1)

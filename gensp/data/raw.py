@@ -54,6 +54,10 @@ class RawCollection(Protocol):
         """Keypoints in the coordinates of the mesh as it was found."""
         ...
 
+    def unread_keypoints(self) -> dict[str, str]:
+        """Ids whose keypoints cannot be read, and why."""
+        ...
+
     def splits(self, ids: Sequence[str]) -> dict[str, str]:
         """Split of each of the shapes that turned out usable; those left out are not used."""
         ...

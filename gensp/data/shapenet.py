@@ -113,6 +113,10 @@ class ShapeNet:
             found, self._listed, self.test_fraction, self.split_seed, *([cut] * bool(cut))
         )
 
+    def unread_keypoints(self) -> dict[str, str]:
+        """Models whose annotations cannot be read, and why."""
+        return {} if self.keypoints is None else read_annotations(self.keypoints)[1]
+
     def columns(self, id: str) -> dict[str, str]:
         """Category, source and licence."""
         synset, model = id.split("_", 1)
@@ -214,7 +218,7 @@ class ShapeNet:
 
     def _tell_left_out(self) -> None:
         """Warn of the models whose annotations cannot be read."""
-        faults = {} if self.keypoints is None else read_annotations(self.keypoints)[1]
+        faults = self.unread_keypoints()
         if faults:
             listed = "; ".join(f"{id} ({why})" for id, why in faults.items())
             warnings.warn(

@@ -222,6 +222,10 @@ class ShapeCollection:
         files = _digest(shape.path), _digest(shape.correspondence)
         return content_hash(shape.path.suffix, files, self.keypoint_record(id))
 
+    def unread_keypoints(self) -> dict[str, str]:
+        """None: one that cannot be read ends the reading."""
+        return {}
+
     def columns(self, id: str) -> dict[str, str]:
         """What the manifest tells of a shape: category, subject, source, licence and the like."""
         shape = self.shape(id)

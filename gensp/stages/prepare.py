@@ -24,7 +24,7 @@ class PrepareStage(ItemStage):
 
     Writes meshes/<id>.ply, corr/<id>.npz, keypoints.json, manifest.csv, which `shapes=folder`
     reads; dropped.csv (what was left out and why), misaligned.csv (models whose keypoints do not
-    lie on them), prepared.csv (a row for every mesh) and the data card.
+    lie on them or cannot be read), prepared.csv (a row for every mesh) and the data card.
     """
 
     def __init__(
@@ -93,14 +93,31 @@ class PrepareStage(ItemStage):
         found = {path.stem: read_json(path) for path in records if path.is_file()}
         if found:
             write_json(self.folder / "keypoints.json", list(found.values()))
-        misaligned = [row for row in kept if row.get("misaligned")]
-        if misaligned:
-            columns = ("id", "keypoints_off")
-            rows = [{key: row[key] for key in columns} for row in misaligned]
-            write_table(self.folder / "misaligned.csv", rows)
+        self._write_misaligned(kept)
         entries = [self._entry(row, splits, str(row["id"]) in found) for row in kept]
         write_table(self.folder / "manifest.csv", entries)
         return len(kept)
+
+    def _write_misaligned(self, kept: list[Row]) -> None:
+        """List the models whose keypoints are not used, if there are any."""
+        assert self.collection is not None
+        unread = self.collection.unread_keypoints()
+        off = [
+            {"id": row["id"], "keypoints_off": row["keypoints_off"], "reason": "off the surface"}
+            for row in kept
+            if row.get("misaligned")
+        ]
+        bad = [
+            {
+                "id": row["id"],
+                "keypoints_off": "",
+                "reason": f"cannot be read: {unread[row['id']]}",
+            }
+            for row in kept
+            if row["id"] in unread
+        ]
+        if off or bad:
+            write_table(self.folder / "misaligned.csv", [*off, *bad])
 
     def _entry(self, row: Row, splits: Mapping[str, str], keypoints: bool) -> dict[str, Any]:
         """The manifest's row of a mesh."""

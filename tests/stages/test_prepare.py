@@ -215,6 +215,24 @@ def test_two_workers_make_what_one_makes(raw: Path, tmp_path: Path) -> None:
     assert made_differently(tmp_path / "one", tmp_path / "two") == []
 
 
+def test_annotations_that_cannot_be_read_are_listed_with_the_reason(tmp_path: Path) -> None:
+    tree = write_shapenet(tmp_path / "tree")
+    annotations = write_keypointnet(tmp_path / "annotations")
+    path = annotations / "annotations" / "bottle.json"
+    records = json.loads(path.read_text())
+    broken = next(record for record in records if record["model_id"] == ANNOTATED)
+    broken["symmetries"]["reflection"][0]["kp_indexes"] = [1, 99]
+    path.write_text(json.dumps(records))
+    solid = "recipe.prepare.solid={resolution: 32, vertices: 400}"
+    with pytest.warns(UserWarning, match="1 annotations cannot be read"):
+        prepare(
+            tree, tmp_path / "out", f"shapes.keypoints={annotations}", solid, shapes="shapenet"
+        )
+    reasons = {row["id"]: row["reason"] for row in table(tmp_path / "out" / "misaligned.csv")}
+    assert reasons[f"{BOTTLE}_{SKEWED}"] == "off the surface"
+    assert reasons[f"{BOTTLE}_{ANNOTATED}"].startswith("cannot be read: IndexError")
+
+
 def test_shapenet_becomes_a_collection(tmp_path: Path) -> None:
     tree = write_shapenet(tmp_path / "tree")
     annotations = write_keypointnet(tmp_path / "annotations")
