@@ -98,12 +98,23 @@ def refine_map(
     direct = minimise(start, wanted)
     if direct.converged or not detour or energy == "dirichlet":
         return direct
-    milder = minimise(start, SphericalEnergy(mesh, weights))
+    return _lower(minimise, start, direct, SphericalEnergy(mesh, weights), wanted)
+
+
+def _lower(
+    minimise: Callable[..., Refined],
+    start: Float[np.ndarray, "n 3"],
+    direct: Refined,
+    milder: MapEnergy,
+    wanted: MapEnergy,
+) -> Refined:
+    """The lower of the direct result and that by way of a milder energy; iterations of all."""
+    first = minimise(start, milder)
     try:
-        second = minimise(milder.sphere, wanted)
+        second = minimise(first.sphere, wanted)
     except NotEmbeddable:  # the last digits of a face that is hardly there
         return direct
-    made = direct.iterations + milder.iterations + second.iterations
+    made = direct.iterations + first.iterations + second.iterations
     return replace(min(direct, second, key=lambda found: found.energy), iterations=made)
 
 
