@@ -46,6 +46,17 @@ def gather(
 
 
 @njit(cache=True)
+def _measured(
+    p: np.ndarray, a: int, b: int, k: int, u: np.ndarray, star: np.ndarray
+) -> tuple[float, float, float]:
+    """det(p, u_a, u_b) of the triangle of row k, and the squares |p − u_a|² and |p − u_b|²."""
+    gx, gy, gz = p[0] - u[a, 0], p[1] - u[a, 1], p[2] - u[a, 2]
+    fx, fy, fz = p[0] - u[b, 0], p[1] - u[b, 1], p[2] - u[b, 2]
+    determinant = gx * star[k, 5] + gy * star[k, 6] + gz * star[k, 7]
+    return determinant, gx * gx + gy * gy + gz * gz, fx * fx + fy * fy + fz * fz
+
+
+@njit(cache=True)
 def star_energy(
     p: np.ndarray,
     around: np.ndarray,
@@ -60,11 +71,7 @@ def star_energy(
     total = pull * ((p[0] - goal[0]) ** 2 + (p[1] - goal[1]) ** 2 + (p[2] - goal[2]) ** 2)
     for k in range(size):
         a, b = around[k], around[(k + 1) % size]
-        gx, gy, gz = p[0] - u[a, 0], p[1] - u[a, 1], p[2] - u[a, 2]
-        fx, fy, fz = p[0] - u[b, 0], p[1] - u[b, 1], p[2] - u[b, 2]
-        determinant = gx * star[k, 5] + gy * star[k, 6] + gz * star[k, 7]
-        near = gx * gx + gy * gy + gz * gz
-        far = fx * fx + fy * fy + fz * fz
+        determinant, near, far = _measured(p, a, b, k, u, star)
         rim = star[k, 5] ** 2 + star[k, 6] ** 2 + star[k, 7] ** 2
         if not determinant > CERTAIN * np.sqrt(max(near, far) * rim):
             return np.inf
@@ -85,11 +92,8 @@ def star_distortion(
     worst = 1.0
     for k in range(size):
         a, b = around[k], around[(k + 1) % size]
-        gx, gy, gz = p[0] - u[a, 0], p[1] - u[a, 1], p[2] - u[a, 2]
-        fx, fy, fz = p[0] - u[b, 0], p[1] - u[b, 1], p[2] - u[b, 2]
-        j = (gx * star[k, 5] + gy * star[k, 6] + gz * star[k, 7]) / star[k, 3]
-        near = gx * gx + gy * gy + gz * gz
-        far = fx * fx + fy * fy + fz * fz
+        determinant, near, far = _measured(p, a, b, k, u, star)
+        j = determinant / star[k, 3]
         d = (star[k, 0] + star[k, 1] * far + star[k, 2] * near) / star[k, 3]
         longest = np.sqrt(0.5 * (d + np.sqrt(max(d * d - 4 * j * j, 0.0))))
         worst = max(worst, longest, longest / j)
