@@ -98,10 +98,10 @@ def refine_map(
     direct = minimise(start, wanted)
     if direct.converged or not detour or energy == "dirichlet":
         return direct
-    return _lower(minimise, start, direct, SphericalEnergy(mesh, weights), wanted)
+    return _by_way_of(minimise, start, direct, SphericalEnergy(mesh, weights), wanted)
 
 
-def _lower(
+def _by_way_of(
     minimise: Callable[..., Refined],
     start: Float[np.ndarray, "n 3"],
     direct: Refined,
