@@ -11,11 +11,15 @@ def listing(folder: Path) -> dict[Path, int]:
     return {path: path.stat().st_mtime_ns for path in paths}
 
 
+def leaves_nothing(smoke: Path, *words: str) -> None:
+    before = listing(smoke)
+    run_here(*smoke_words(smoke), *words, "debug=fast")
+    assert listing(smoke) == before
+
+
 @pytest.mark.parametrize("stage", STAGES)
 def test_one_batch(stage: str, smoke: Path) -> None:
-    before = listing(smoke)
-    run_here(*smoke_words(smoke), f"stage={stage}", "debug=fast")
-    assert listing(smoke) == before
+    leaves_nothing(smoke, f"stage={stage}")
 
 
 METHODS = ("cmcf", "cmcf_raw", "dirichlet", "stretch", "ahsp", "arap", "vc25")
@@ -24,14 +28,13 @@ OPTIONS = ("fit=register", "fit=guided", "refine=none", "refine=certify")
 
 @pytest.mark.parametrize("word", [*OPTIONS, *(f"method={name}" for name in METHODS)])
 def test_one_map(word: str, smoke: Path) -> None:
-    run_here(*smoke_words(smoke), "stage=parameterize", "debug=fast", word)
+    leaves_nothing(smoke, "stage=parameterize", word)
 
 
 def test_one_pair(smoke: Path) -> None:
-    run_here(*smoke_words(smoke), "stage=correspond", "correspond=paired", "debug=fast")
+    leaves_nothing(smoke, "stage=correspond", "correspond=paired")
 
 
 @pytest.mark.parametrize("generator", ["direct", "flow"])
 def test_other_generators(generator: str, smoke: Path) -> None:
-    words = ("stage=initialize", "debug=fast", f"model/generator={generator}")
-    run_here(*smoke_words(smoke), *words)
+    leaves_nothing(smoke, "stage=initialize", f"model/generator={generator}")
