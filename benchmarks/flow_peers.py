@@ -1,8 +1,8 @@
 """`method=cmcf_raw` beside the program of the flow's authors.
 
-    OMP_NUM_THREADS=1 python benchmarks/flow_peers.py MESHES FIGURES
+    OMP_NUM_THREADS=1 python benchmarks/flow_peers.py MESHES docs/benchmark/programs.csv
 
-MESHES and FIGURES as in peers.py; the program's rows are named cmcf_100_steps, its column
+MESHES and the CSV as in peers.py; the program's rows are named cmcf_100_steps, its column
 seconds_one_core has seconds on one quiet core. Rows: where that program folds nothing, or was
 timed. Printed are the figures of both, theirs in brackets; where nothing folds the largest
 relative difference of the four distortions; and processor seconds.

@@ -1,4 +1,4 @@
-"""All speed figures that the project promises, each beside what is required.
+"""All speed figures that the project promises, each beside its target.
 
 OMP_NUM_THREADS=1 python benchmarks/speed.py [names]     # prints a Markdown table
 """
@@ -17,7 +17,7 @@ BENCHMARKS = ("cmcf", "closest_point", "registration", "rotation", "newton", "re
 def markdown(rows: list[dict[str, object]]) -> str:
     """The table, headed by the machine that it was measured on."""
     machine = f"{os.cpu_count()} × {processor()}, Python {platform.python_version()}"
-    lines = [f"Measured on {machine}.", "", "| what | figure | required |", "|---|---|---|"]
+    lines = [f"Measured on {machine}.", "", "| what | figure | target |", "|---|---|---|"]
     lines += [
         f"| {row['name']} | {row['figure']:.3g} {row['unit']} | {row['required']} |"
         for row in rows

@@ -16,10 +16,10 @@ class Column:
 COLUMNS = (
     Column("shapes", "shapes", "number of shapes with a map", 0),
     Column("sigma_mean", "mean σ", "isometric distortion, mean over triangles, then over shapes"),
-    Column("sigma_max", "max σ", "largest isometric distortion of any triangle of the group"),
+    Column("sigma_max", "worst σ", "largest isometric distortion of any triangle of the group"),
     Column("sigma_area", "mean σ (area)", "isometric distortion, area-weighted mean"),
     Column("conformal_mean", "mean σ^con", "conformal distortion, mean over triangles and shapes"),
-    Column("conformal_max", "max σ^con", "largest conformal distortion of any triangle"),
+    Column("conformal_max", "worst σ^con", "largest conformal distortion of any triangle"),
     Column("c", "c", "consistency c(m_i, m_j) of the paper, over 6 nearest of the measured pairs"),
     Column("c_rotated", "c (rotated)", "c rotated as error (rotated)"),
     Column(

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from gensp.geometry.mesh import Mesh, load_mesh, save_mesh
 from gensp.geometry.sphere import unit
@@ -87,3 +88,22 @@ def test_register_by_program(tmp_path, monkeypatch, capsys, bumpy: Mesh):
     words = (tmp_path / "a.ply", tmp_path / "b.ply", "--program", program)
     run_example(monkeypatch, "register_by_program.py", *words)
     assert "apart by 0.000 degrees" in capsys.readouterr().out
+
+
+def test_shape_model_finds_the_one_way_in_which_shapes_differ(tmp_path, monkeypatch, bumpy: Mesh):
+    """Stretched copies, turned and moved: one mode has all the variance."""
+    turn = Rotation.random(5, rng=np.random.default_rng(0))
+    maps = tmp_path / "maps"
+    for k, stretch in enumerate((0.8, 0.9, 1.0, 1.1, 1.2)):
+        shape = turn[k].apply(bumpy.vertices * [stretch, 1, 1]) + k
+        save_map(SphericalMap(unit(bumpy.vertices), shape, bumpy.faces, f"shape{k}"), maps)
+    out = tmp_path / "out"
+    run_example(monkeypatch, "shape_model.py", maps, "--level", 3, "--modes", 1, "--out", out)
+    with np.load(out / "shape_model.npz") as model:
+        variance, modes, mean = model["deviations"] ** 2, model["modes"], model["mean"]
+        assert list(model["names"]) == [f"shape{k}" for k in range(5)]
+    assert variance[0] > 0.99 * variance.sum()
+    np.testing.assert_allclose(np.linalg.norm(modes[0]), 1)
+    plus, minus = (load_mesh(out / f"mode1_{word}.ply").vertices for word in ("plus", "minus"))
+    np.testing.assert_allclose((plus + minus) / 2, mean, atol=1e-6)
+    assert (out / "shape_model.png").stat().st_size > 1000

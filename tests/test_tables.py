@@ -55,7 +55,7 @@ def test_cell_is_readable(value, digits, text):
 def test_markdown_has_the_figures_under_the_papers_columns():
     cells = markdown_cells(summary_markdown(summary()), "test")
     assert cells["mean σ"] == "1.491"
-    assert cells["max σ"] == "1.20e+07"
+    assert cells["worst σ"] == "1.20e+07"
     assert cells["error"] == "0.0107"
     assert cells["bad faces %"] == "–"
 
