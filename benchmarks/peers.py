@@ -1,8 +1,9 @@
 """Per-shape methods beside the figures of other authors' programs.
 
-    OMP_NUM_THREADS=1 python benchmarks/peers.py MESHES docs/benchmark/programs.csv --csv docs/benchmark/peers.csv
+    OMP_NUM_THREADS=1 python benchmarks/peers.py MESHES docs/benchmark/programs.csv \
+        --csv docs/benchmark/peers.csv
 
-MESHES holds collections, `<collection>/meshes/<shape>.ply`. The CSV of the programs has the columns
+MESHES holds collections, `<collection>/meshes/<shape>.ply`. The first CSV has the columns
 mesh (`<collection>/<shape>`), method, vertices, iso_mean, iso_max, con_mean, con_max. Every mesh
 is mapped that has a figure of any program compared with and no more than --largest vertices.
 Every map must be bijective. The CSV has ours and theirs of every mesh and method, written as they

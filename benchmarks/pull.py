@@ -2,16 +2,17 @@
 
 python benchmarks/pull.py runs/quickstart/full/parameterize data/heads --out docs/pull_heads
 
-Every prediction of the run is refined with refine=certify at several γ; `--out` gets a table
-(csv) and a picture (png). Error: implied correspondence over √area, mean over the pairs with dense
-ground truth, without rotation; that of the predictions goes through the generated surfaces, since
-folded maps have no inverse (`gensp.geometry.consistency.prediction_error`).
+Every prediction of the run is refined with refine=certify at several γ, with and without Bregman
+iterations; `--out` gets a table (csv) and a picture (png). Error: implied correspondence over
+√area, mean over the pairs with dense ground truth, without rotation; that of the predictions goes
+through the generated surfaces, since folded maps have no inverse
+(`gensp.geometry.consistency.prediction_error`).
 """
 
 import argparse
 import csv
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 from typing import TypeVar
 
@@ -36,9 +37,11 @@ Pair = tuple[str, str, SurfacePoints, SurfacePoints]
 T = TypeVar("T")
 
 
-def maps(run: Path, collection: ShapeCollection, gamma: float) -> dict[str, SphericalMap]:
+def maps(
+    run: Path, collection: ShapeCollection, gamma: float, bregman: int
+) -> dict[str, SphericalMap]:
     """The maps of all predicted shapes at one γ."""
-    refine = CertifiedRefinement(pull=gamma)
+    refine = CertifiedRefinement(pull=gamma, bregman=bregman)
     found = {}
     for id in collection.ids():
         arrays = prediction(run, id)
@@ -87,13 +90,16 @@ def unrefined(run: Path, collection: ShapeCollection) -> float:
     return mean_error(shapes, prediction_error, collection)
 
 
-def line(run: Path, collection: ShapeCollection, gamma: float, prediction: float) -> dict:
+def line(
+    run: Path, collection: ShapeCollection, gamma: float, bregman: int, prediction: float
+) -> dict:
     """One line of the table; `prediction` is the error before refinement."""
-    found = maps(run, collection, gamma)
+    found = maps(run, collection, gamma, bregman)
     distortions = [map.distortion() for map in found.values()]
     rungs = [map.diagnostics["rung"] for map in found.values()]
     return {
         "gamma": gamma,
+        "bregman": bregman,
         "shapes": len(found),
         "error": mean_error(found, correspondence_error, collection),
         "error_prediction": prediction,
@@ -108,15 +114,19 @@ def line(run: Path, collection: ShapeCollection, gamma: float, prediction: float
 
 
 def draw(lines: list[dict], path: Path, title: str) -> None:
-    """Mean σ against error, one point for every γ."""
+    """Mean σ against error, one point for every γ, one curve for every number of iterations."""
     drawing = figure(6, 4)
     panel = drawing.subplots()
-    panel.plot([r["error"] for r in lines], [r["sigma_mean"] for r in lines], "o-")
+    for bregman in sorted({row["bregman"] for row in lines}):
+        rows = [row for row in lines if row["bregman"] == bregman]
+        errors, sigmas = ([row[key] for row in rows] for key in ("error", "sigma_mean"))
+        panel.plot(errors, sigmas, "o-", label=f"{bregman} Bregman iterations")
     for row in lines:
         panel.annotate(
             f"γ = {row['gamma']:g}", (row["error"], row["sigma_mean"]), (6, 4),
             textcoords="offset points",
         )  # fmt: skip
+    panel.legend()
     panel.margins(0.12)
     panel.set(xlabel="error / √area, no rotation", ylabel="mean σ", title=title)
     save_figure(drawing, path)
@@ -131,7 +141,7 @@ def write(lines: list[dict], path: Path) -> None:
 
 
 def main() -> None:
-    """Read the command line, write the table after every γ, and the picture."""
+    """Read the command line, write the table after every line, and the picture."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("run", type=Path, help="folder of a finished parameterize stage")
     parser.add_argument("collection", type=Path, help="folder of its meshes")
@@ -139,13 +149,14 @@ def main() -> None:
     parser.add_argument(
         "--gammas", type=float, nargs="*", default=GAMMAS, help="none: only the predictions"
     )
+    parser.add_argument("--bregman", type=int, nargs="+", default=(0, 1), help="iterations")
     words = parser.parse_args()
     collection = ShapeCollection.from_folder(words.collection)
     prediction = unrefined(words.run, collection)
     print(f"error of the predictions: {prediction:.5f}", flush=True)  # noqa: T201
     lines: list[dict] = []
-    for gamma in words.gammas:
-        lines.append(line(words.run, collection, gamma, prediction))
+    for bregman, gamma in product(words.bregman, words.gammas):
+        lines.append(line(words.run, collection, gamma, bregman, prediction))
         print(lines[-1], flush=True)  # noqa: T201
         write(lines, words.out.with_suffix(".csv"))
     if lines:

@@ -1,10 +1,10 @@
-"""A statistical shape model of a finished run: mean shape and principal modes on one triangulation.
+"""A statistical shape model of a finished run: mean and principal modes on one triangulation.
 
     python examples/shape_model.py runs/quickstart/full+register/parameterize/maps --out outputs
 
-Every map carries one icosphere to its shape, so vertex i is the same point on all of them. The shapes
-are brought to one size, place and orientation (generalised Procrustes analysis), then their deviations
-from the mean are split into principal components.
+Every map carries one icosphere to its shape, so vertex i is the same point on all of them. The
+shapes are brought to one size, place and orientation (generalised Procrustes analysis), then their
+deviations from the mean are split into principal components.
 """
 
 import argparse
@@ -61,9 +61,7 @@ def mode_tiles(frames: Sequence[Mesh], label: str, level: int, up: str) -> list[
     points = icosphere(level).vertices
     view = look(up).fitted(*(mesh.vertices for mesh in frames))
     images = [Scene(mesh, view, SIZE).textured(points) for mesh in frames]
-    return [
-        Tile(image, f"{step:+g}", label) for image, step in zip(images, STEPS, strict=True)
-    ]
+    return [Tile(image, f"{step:+g}", label) for image, step in zip(images, STEPS, strict=True)]
 
 
 def main() -> None:

@@ -171,7 +171,7 @@ def test_trust_weighs_the_pull(legged, mapped):
 def test_reliability_falls_with_distance_and_folds(bumpy):
     shape, u = normalize(bumpy), unit(bumpy.vertices)
     far = np.linspace(0, 0.3, len(u))
-    trusted = reliability(u, shape.faces, far)
+    trusted = reliability(u, shape.faces, far, reach=0.1)
     np.testing.assert_allclose(trusted, 1 / (1 + (far / 0.1) ** 2))
     folded = u.copy()
     folded[0] = -folded[0]
@@ -207,3 +207,22 @@ def test_limbs_are_held_as_firmly_as_the_body(legged, mapped):
         return np.linalg.norm(found.sphere - target, axis=1)[limbs].mean()
 
     assert away(CertifiedRefinement) < 0.97 * away(NewtonRefinement)
+
+
+def test_what_is_left_of_the_way_to_the_target_is_made_up_for(legged, mapped, rng):
+    """Bregman iterations bring back the smooth part of the way, and less of the noise."""
+    wanted = unit(mapped.sphere + 0.1 * np.sin(2 * mapped.sphere[:, [1, 2, 0]]))
+    target = unit(wanted + 0.01 * rng.standard_normal(wanted.shape))
+    once, twice, strong = (
+        CertifiedRefinement(pull=pull, bregman=rounds)(legged, target, target).sphere
+        for pull, rounds in ((30.0, 0), (30.0, 1), (1e4, 0))
+    )
+    away = [np.linalg.norm(u - wanted, axis=1).mean() for u in (once, twice)]
+    assert away[1] < 0.7 * away[0]
+    rough = [roughness(legged, u - wanted) for u in (twice, strong)]
+    assert rough[0] < 0.5 * rough[1]
+
+
+def roughness(mesh: Mesh, field: np.ndarray) -> float:
+    """Mean difference of a field between the ends of an edge."""
+    return float(np.linalg.norm(np.diff(field[mesh.edges], axis=1), axis=2).mean())

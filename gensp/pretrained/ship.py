@@ -18,7 +18,7 @@ from gensp.pretrained import FITS, FOLDER, LARGEST, TABLE, Shipped, digest
 
 _KINDS = {target: kind for kind, target in FITS.items()}
 _CERTIFIED = f"{CertifiedRefinement.__module__}.{CertifiedRefinement.__name__}"
-_REFINE = ("pull", "energy", "floor", "max_iterations", "tolerance", "crowding")
+_REFINE = ("pull", "bregman", "energy", "floor", "max_iterations", "tolerance", "crowding")
 
 
 def entry_of(maps: Path) -> dict[str, Any]:
