@@ -20,7 +20,8 @@ from gensp.geometry.smat_energy import SmatEnergy
 from gensp.geometry.sphere import icosphere
 from gensp.geometry.spherical_energy import triangle_weights
 from gensp.geometry.spherical_map import SphericalMap
-from gensp.methods.refinement import HIERARCHICAL, certified
+from gensp.methods.outcome import certified
+from gensp.methods.refinement import HIERARCHICAL
 
 Newton = Callable[[Mesh, Float[np.ndarray, "n 3"]], Refined]
 

@@ -2,13 +2,12 @@
 
 import time
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from gensp.errors import NotEmbeddable
-from gensp.geometry.certificate import place_of, require_bijective
+from gensp.geometry.certificate import place_of
 from gensp.geometry.embedding import embed
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.newton import Refined, refine_map
@@ -17,6 +16,7 @@ from gensp.geometry.refine import Untangled, shrinking, untangle
 from gensp.geometry.sphere import unit
 from gensp.geometry.spherical_energy import triangle_weights
 from gensp.geometry.spherical_map import SphericalMap
+from gensp.methods.outcome import certified, finished
 
 PREDICTION, SPREAD, UNTANGLED, HIERARCHICAL = "prediction", "spread", "untangled", "hierarchical"
 # What became of the start, from the first rung of the ladder to the last.
@@ -249,29 +249,3 @@ class CertifiedRefinement(NewtonRefinement):
             again = super()._minimised(mesh, refined.sphere, aim, pull)
             refined = replace(again, iterations=refined.iterations + again.iterations)
         return refined
-
-
-def finished(
-    mesh: Mesh, sphere: Float[np.ndarray, "n 3"], diagnostics: dict[str, Any]
-) -> SphericalMap:
-    """The map of a mesh in its own coordinates, bad faces and degree in its diagnostics."""
-    found = {
-        "bad_faces": int(bad_faces(sphere, mesh.faces).sum()),
-        "degree": map_degree(sphere, mesh.faces),
-    }
-    return SphericalMap(sphere, mesh.vertices, mesh.faces, mesh.name, {**diagnostics, **found})
-
-
-def certified(
-    mesh: Mesh, sphere: Float[np.ndarray, "n 3"], diagnostics: dict[str, Any]
-) -> SphericalMap:
-    """As `finished`, of a method that promises a bijective map: nothing may move it any more.
-
-    Raises
-    ------
-    NotEmbeddable
-        The last operations left a fold, which is told with its place.
-    """
-    require_bijective(mesh, sphere, remedy="remesh the surface there")
-    found = {"bad_faces": 0, "degree": 1}
-    return SphericalMap(sphere, mesh.vertices, mesh.faces, mesh.name, {**diagnostics, **found})
