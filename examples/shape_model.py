@@ -61,7 +61,10 @@ def mode_tiles(frames: Sequence[Mesh], label: str, level: int, up: str) -> list[
     points = icosphere(level).vertices
     view = look(up).fitted(*(mesh.vertices for mesh in frames))
     images = [Scene(mesh, view, SIZE).textured(points) for mesh in frames]
-    return [Tile(image, f"{step:+g}", label) for image, step in zip(images, STEPS, strict=True)]
+    return [
+        Tile(image, f"{step:+g}" if step else "mean", label)
+        for image, step in zip(images, STEPS, strict=True)
+    ]
 
 
 def main() -> None:
