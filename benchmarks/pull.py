@@ -120,7 +120,7 @@ def draw(lines: list[dict], path: Path, title: str) -> None:
     for bregman in sorted({row["bregman"] for row in lines}):
         rows = [row for row in lines if row["bregman"] == bregman]
         errors, sigmas = ([row[key] for row in rows] for key in ("error", "sigma_mean"))
-        panel.plot(errors, sigmas, "o-", label=f"{bregman} Bregman iterations")
+        panel.plot(errors, sigmas, "o-", label=f"Bregman iterations: {bregman}")
     for row in lines:
         panel.annotate(
             f"γ = {row['gamma']:g}", (row["error"], row["sigma_mean"]), (6, 4),
