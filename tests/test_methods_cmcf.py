@@ -2,6 +2,7 @@ import pickle
 
 import numpy as np
 import pytest
+import trimesh
 
 from gensp.errors import NotEmbeddable
 from gensp.geometry.alignment import centre_of_area
@@ -10,7 +11,12 @@ from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.predicates import bad_faces
 from gensp.geometry.sphere import icosphere, tangent_frame, unit
 from gensp.methods.cmcf import CMCF
-from gensp.methods.refinement import CertifiedRefinement, NewtonRefinement, NoRefinement
+from gensp.methods.refinement import (
+    HIERARCHICAL,
+    CertifiedRefinement,
+    NewtonRefinement,
+    NoRefinement,
+)
 
 
 def _folded(sphere, faces, rng, share=0.05):
@@ -139,3 +145,17 @@ def test_methods_travel_to_workers(bumpy):
     method = CMCF(NewtonRefinement(max_iterations=3))
     again = pickle.loads(pickle.dumps(method))
     np.testing.assert_array_equal(again(bumpy).sphere, method(bumpy).sphere)
+
+
+def test_a_flow_that_leaves_hairs_is_embedded_anew():
+    """A wavy capsule: no face of the start is folded, but no step from there gets anywhere."""
+    capsule = trimesh.creation.capsule(height=3, radius=1, count=[16, 16])
+    x, _, z = np.asarray(capsule.vertices).T
+    waves = 0.15 * np.sin(6 * x) * np.sin(5 * z)
+    vertices = capsule.vertices + waves[:, None] * capsule.vertex_normals
+    wavy = Mesh(np.array(vertices), np.array(capsule.faces, dtype=np.int64), "wavy")
+    found = CMCF(CertifiedRefinement())(wavy)
+    assert found.certify()
+    assert found.diagnostics["converged"]
+    assert found.diagnostics["rung"] == HIERARCHICAL
+    assert found.distortion().mean < 1.2

@@ -85,7 +85,10 @@ def _rung(map: "SphericalMap") -> list[tuple[str, str]]:
 
     rung = map.diagnostics.get("rung")
     led = ", led by the prediction" if "predicted" in map.arrays and rung == HIERARCHICAL else ""
-    return [("rung", f"{rung}: {RUNGS[rung]}{led}")] if rung in RUNGS else []
+    found = [("rung", f"{rung}: {RUNGS[rung]}{led}")] if rung in RUNGS else []
+    if map.diagnostics.get("converged") is False:
+        found.append(("refinement", "stopped before it converged: try --method dirichlet"))
+    return found
 
 
 def _familiarity(map: "SphericalMap") -> list[tuple[str, str]]:

@@ -100,6 +100,8 @@ class NewtonRefinement:
         pull = 0.0 if target is None else self._pull(shape, target, trust)
         found, rung = self._start(mesh, u, target, pull, folded=bad > 0)
         refined = self._minimised(shape, found.sphere, target, pull)
+        if not refined.converged and rung != HIERARCHICAL:
+            refined, rung = self._otherwise(shape, refined, rung, target, pull)
         return certified(
             mesh,
             refined.sphere,
@@ -135,6 +137,17 @@ class NewtonRefinement:
         found = self._untangled(mesh, u, folded=folded)
         moved = UNTANGLED if folded else SPREAD
         return found, moved if found.rounds else PREDICTION
+
+    def _otherwise(
+        self,
+        mesh: Mesh,
+        refined: Refined,
+        rung: str,
+        target: Float[np.ndarray, "n 3"] | None,
+        pull: float | Float[np.ndarray, " n"],
+    ) -> tuple[Refined, str]:
+        """What is made of a map that did not converge: it stays, and its diagnostics say so."""
+        return refined, rung
 
     def _untangled(self, mesh: Mesh, u: Float[np.ndarray, "n 3"], *, folded: bool) -> Untangled:
         areas = None if folded else mesh.face_areas
@@ -232,6 +245,19 @@ class CertifiedRefinement(NewtonRefinement):
                 pass  # the next rung needs no start
         grown = embed(normalize(mesh), target=target, pull=pull)
         return Untangled(grown, 0, True), HIERARCHICAL
+
+    def _otherwise(
+        self,
+        mesh: Mesh,
+        refined: Refined,
+        rung: str,
+        target: Float[np.ndarray, "n 3"] | None,
+        pull: float | Float[np.ndarray, " n"],
+    ) -> tuple[Refined, str]:
+        # No face is folded, yet some are so nearly collapsed that no step gets anywhere.
+        grown = embed(mesh, target=target, pull=pull)
+        again = self._minimised(mesh, grown, target, pull)
+        return (again, HIERARCHICAL) if again.energy < refined.energy else (refined, rung)
 
     def _minimised(
         self,
