@@ -14,6 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import InterpolationKeyError
 
 from gensp.errors import GenSPError, MissingData, Unsupported
+from gensp.files import read_yaml
 from gensp.runs import Run, Runs
 from gensp.sweeps import suffixes
 
@@ -30,6 +31,9 @@ _TRAINER_SCIENCE = (
     "overfit_batches",
     "fast_dev_run",
 )
+
+# Experiments of the package; those of others may be called anything.
+_EXPERIMENTS = _PAPER.parents[1] / "experiment"
 
 # Whole numbers, and the least that each may be.
 _COUNTS = {"seed": 0, "threads": 0, "workers.jobs": 0}
@@ -55,6 +59,33 @@ def require_taken(cfg: DictConfig, overrides: Sequence[str]) -> None:
                 f"{typed[0]}: was found with method={method}, which takes {takes}; leave it out, "
                 f"or choose method=gensp"
             )
+
+
+def require_name(cfg: DictConfig, overrides: Sequence[str]) -> None:
+    """Keep runs of other shapes out of the folder of an experiment.
+
+    Raises
+    ------
+    Unsupported
+        No name was found, or that of an experiment whose shapes are not those that were typed.
+    """
+    typed = dict(word.lstrip("+").split("=", 1) for word in overrides if "=" in word)
+    if not str(cfg.name).strip():
+        raise Unsupported("name: is empty; a name is required; add name=NAME")
+    own = _shapes_of(typed.get("experiment", "quickstart"))
+    if "name" in typed or typed.get("shapes", own) == own or cfg.shapes.name in cfg.name:
+        return
+    raise Unsupported(
+        f"shapes={typed['shapes']}: the run would be named {cfg.name}, as those of shapes={own}; "
+        "a name of its own is required; add name=NAME"
+    )
+
+
+def _shapes_of(experiment: str) -> str | None:
+    """The collection that an experiment of the package is of; none, if it leaves that open."""
+    path = _EXPERIMENTS / f"{experiment}.yaml"
+    words = read_yaml(path).get("defaults", ()) if path.is_file() else ()
+    return next((word["override /shapes"] for word in words if "override /shapes" in word), None)
 
 
 def require_values(cfg: DictConfig) -> None:

@@ -41,6 +41,7 @@ def require_startable(trainer: Mapping[str, Any], *, stage: str, sweep: bool) ->
     Unsupported
         With the commands that do.
     """
+    _require_device(str(trainer.get("accelerator", "auto")))
     outside, several = started_outside(), _processes(trainer) != 1
     if not trainer.get("num_nodes", 1):
         raise Unsupported(f"trainer=slurm: no tasks of SLURM were found; start it with: {_SLURM}")
@@ -71,6 +72,19 @@ def require_startable(trainer: Mapping[str, Any], *, stage: str, sweep: bool) ->
             "stage=all: a trainer of several processes was found; they must exist before the "
             "first stage; run one stage at a time (stage=implicit trainer=ddp), or start with: "
             f"{_TORCHRUN} ..."
+        )
+
+
+def _require_device(accelerator: str) -> None:
+    """Refuse a GPU where there is none; torch is loaded only where one is asked for."""
+    if accelerator not in {"gpu", "cuda"}:
+        return
+    import torch
+
+    if not (torch.cuda.is_available() or torch.backends.mps.is_available()):
+        raise Unsupported(
+            f"trainer.accelerator: is {accelerator}; no GPU that torch can use was found; one is "
+            "required; type trainer=cpu, or install a torch for your GPU"
         )
 
 

@@ -48,16 +48,22 @@ def restart(folder: Path, settings: Mapping[str, Any]) -> Progress:
         listed = "; ".join(changed[:6]) + (f"; and {len(changed) - 6} more" * (len(changed) > 6))
         raise StaleRun(
             f"{folder}: made with other settings ({listed}); the same settings are required to go "
-            "on; add force=true to make it anew, or name=NEW to keep both"
+            f"on; add force=true to make it anew, or {_elsewhere(asked)} to keep both"
         )
     remade = [stage for stage in sorted({*before, *now}) if before.get(stage) != now.get(stage)]
     if remade:
         raise StaleRun(
             f"{folder}: made from other results of stage {', '.join(remade)} than there are now; "
             "a stage and what it reads must belong together; make it anew from them with "
-            f"stage={asked['stage']['name']} force=true, or name=NEW to keep both"
+            f"stage={asked['stage']['name']} force=true, or {_elsewhere(asked)} to keep both"
         )
     return Progress.ALL if found is sealed else Progress.SOME
+
+
+def _elsewhere(asked: Mapping[str, Any]) -> str:
+    """The word that sends a stage to another folder."""
+    prepare = (asked.get("stage") or {}).get("name") == "prepare"
+    return "prepare.out=NEW" if prepare else "name=NEW"
 
 
 def require_own(folder: Path, stage: str) -> None:

@@ -12,6 +12,7 @@ from omegaconf import DictConfig
 
 from gensp.checksums import require_intact
 from gensp.configuration import (
+    require_name,
     require_numbers,
     require_taken,
     require_values,
@@ -119,6 +120,8 @@ def run_stage(cfg: DictConfig, overrides: Sequence[str] = (), place: str = "") -
     settings = settings_of(cfg, inputs)
     if runs.outputs.get(name):
         require_own(folder, name)
+    elif cfg.keep:
+        require_name(cfg, overrides)
     announce(name, folder, place)
     with _output_errors(cfg, folder):
         headline = _bring_to_end(cfg, folder, runs, inputs, settings)

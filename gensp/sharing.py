@@ -17,6 +17,9 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from gensp.errors import GenSPError
 
+# loky ends a worker whose memory has grown and starts another: nothing is lost, nothing to do.
+warnings.filterwarnings("ignore", message="A worker stopped while some jobs were given")
+
 Work = Callable[[], Any]
 WorkOf = Callable[[str], Work]  # what is to be done with an item, made only when its turn comes
 

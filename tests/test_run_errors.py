@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 from commands import ROOT, command, environment, run_here, smoke_words, train
 from omegaconf import OmegaConf
 
@@ -190,6 +191,29 @@ def test_missing_value_is_asked_for() -> None:
     assert str(caught.value) == (
         "shapes.root: no value was given; one is required; add shapes.root=VALUE"
     )
+
+
+def test_other_shapes_do_not_go_into_the_folder_of_an_experiment(tmp_path: Path) -> None:
+    words = (f"paths.runs={tmp_path}", "stage=augment", "shapes=folder")
+    with pytest.raises(Unsupported) as caught:
+        run_here(*words, f"shapes.root={ROOT / 'data/heads'}")
+    assert str(caught.value) == (
+        "shapes=folder: the run would be named quickstart, as those of shapes=heads; "
+        "a name of its own is required; add name=NAME"
+    )
+    with pytest.raises(Unsupported, match="name: is empty"):
+        run_here(f"paths.runs={tmp_path}", "stage=augment", "name=")
+    assert [path.name for path in tmp_path.iterdir()] == ["cache"]
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+@pytest.mark.parametrize("words", [("stage=implicit",), ("stage=all",)])
+def test_a_gpu_that_is_not_there_is_told_before_anything_begins(
+    tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    with pytest.raises(Unsupported, match=r"no GPU that torch can use was found; .* trainer=cpu"):
+        run_here("experiment=smoke", "trainer=gpu", f"paths.runs={tmp_path}", *words)
+    assert not list(tmp_path.iterdir())
 
 
 def test_mistyped_folder_leaves_no_trace(tmp_path: Path) -> None:
