@@ -39,13 +39,13 @@ def parameterize(
     doubles px py pz) and <stem>_sphere.obj. Where a method that may fold has
     folded, only these are written, and the exit code is 2.
     """
-    from gensp.cli.inputs import chosen_method, require_folder, require_other, sound_mesh
+    from gensp.cli.inputs import chosen_method, require_folder, sound_mesh
     from gensp.cli.terminal import compile_announced, progress, two_columns, written
 
     require_folder(out)
     found = chosen_method(method, model, register)
     surface = sound_mesh(mesh)
-    require_other(mesh, out / f"{surface.name}.ply", by="its map", remedy="add --out FOLDER")
+    _require_free(mesh, out / surface.name, texture, icosphere)
     compile_announced()
     began = time.perf_counter()
     with progress(surface.name):
@@ -56,6 +56,19 @@ def parameterize(
         paths += _write_derived(map, out, texture, icosphere, geometry_image)
     two_columns(map.name, [*_figures(map, seconds), written(paths)])
     _require_bijective(map)
+
+
+def _require_free(mesh: Path, stem: Path, texture: bool, icosphere: int | None) -> None:
+    """Refuse, before anything is computed, to write over meshes and arrays that are not ours."""
+    from gensp.cli.earlier import require_earlier
+    from gensp.cli.inputs import require_other
+
+    ends = [".npz", ".ply", "_sphere.obj"]
+    ends += ["_textured.obj"] if texture else []
+    ends += [] if icosphere is None else [f"_icosphere{icosphere}{end}" for end in ends[:2]]
+    written = [stem.parent / f"{stem.name}{end}" for end in ends]
+    require_other(mesh, written[1], by="its map", remedy="add --out FOLDER")
+    require_earlier(mesh, written)
 
 
 def _require_bijective(map: "SphericalMap") -> None:

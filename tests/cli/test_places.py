@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gensp.cli.earlier import is_earlier
 from gensp.cli.inputs import require_folder
 from gensp.errors import OutputError
+from gensp.geometry.mesh import Mesh, save_mesh
 from gensp.geometry.spherical_map import SphericalMap
 from tests.cli.conftest import Refused, Run
 
@@ -26,6 +28,45 @@ def test_no_map_is_made_for_a_place_that_cannot_be(
     monkeypatch.setattr(module, "_write_map", lambda *_: pytest.fail("a map was made"))
     line = refused("parameterize", bumpy_file, "--out", bumpy_file / "below")
     assert f"{bumpy_file}: is a file; a folder is required" in line
+
+
+@pytest.mark.parametrize(
+    ("end", "more"),
+    [
+        (".ply", ()),
+        (".npz", ()),
+        ("_sphere.obj", ()),
+        ("_textured.obj", ("--texture",)),
+        ("_icosphere1.ply", ("--icosphere", 1)),
+    ],
+)
+def test_another_file_of_the_name_of_a_result_is_kept(
+    refused: Refused, bumpy_file: Path, bumpy: Mesh, end: str, more: tuple[str | int, ...]
+) -> None:
+    other = bumpy_file.parent / "maps" / f"bumpy{end}"
+    other.parent.mkdir()
+    if end == ".npz":
+        np.savez(other, height=bumpy.vertices)
+    else:
+        save_mesh(bumpy, other)
+    before = other.read_bytes()
+    line = refused("parameterize", bumpy_file, "--out", other.parent, *more)
+    assert f"{other}: is no result of gensp" in line
+    assert line.endswith("add --out FOLDER")
+    assert other.read_bytes() == before
+    assert list(other.parent.iterdir()) == [other]
+
+
+def test_results_are_replaced_by_those_of_the_same_command(gensp: Run, bumpy_file: Path) -> None:
+    words = ("parameterize", bumpy_file, "--out", bumpy_file.parent / "maps", "--texture")
+    for _ in range(2):
+        assert gensp(*words, "--icosphere", 1)[0] == 0
+
+
+def test_a_damaged_file_is_no_result(tmp_path: Path) -> None:
+    for end in ("npz", "obj", "ply"):
+        (tmp_path / f"cow.{end}").write_text("v 1 0 nothing")
+        assert not is_earlier(tmp_path / f"cow.{end}")
 
 
 def test_a_folder_is_no_file(refused: Refused, map_file: Path, bumpy_file: Path) -> None:
