@@ -28,10 +28,12 @@ def main(cfg: DictConfig) -> float | None:
     from gensp.ranks import of_several
     from gensp.run import run
     from gensp.stopping import one_line_stop
+    from gensp.terminal import complain
 
     job = HydraConfig.get()
     sweep = job.mode == RunMode.MULTIRUN
-    with one_line_stop(several=of_several(cfg.trainer)), one_line_errors(sweep=sweep):
+    several = of_several(cfg.trainer)
+    with one_line_stop(complain, several=several), one_line_errors(sweep=sweep):
         return run(cfg, job.overrides.task, sweep=sweep)
 
 

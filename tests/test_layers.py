@@ -50,7 +50,7 @@ ALLOWED["terminal"] = CORE | {"machine", "tables", "comparison"}
 ALLOWED["occupancy"] = CORE | {"machine", "runs", "terminal"}
 ALLOWED["mistakes"] = CORE | {"terminal"}
 ALLOWED["sweeps"] = CORE
-ALLOWED["stopping"] = {"terminal"}
+ALLOWED["stopping"] = set()
 ALLOWED["configuration"] = CORE | {"runs", "sweeps"}
 ALLOWED["stages"] = set(ALLOWED) - {"mistakes", "configuration"}
 ALLOWED["execution"] = CORE | {"configuration", "machine", "restarts", "runs", "stages"}
@@ -67,6 +67,7 @@ ALLOWED["cli"] = CORE | {
     "pictures",
     "card",
     "catalogue",
+    "stopping",
 }
 ALLOWED["__main__"] = {"cli"}
 

@@ -15,13 +15,17 @@ from gensp.cli.morph import morph
 from gensp.cli.parameterize import parameterize
 from gensp.cli.runs import runs
 from gensp.cli.view import view
+from gensp.stopping import one_line_stop
+
+_PATIENCE = 0.5  # seconds in which a stopped command has tidied up
 
 commands = typer.Typer(
     name="gensp",
     help=(
         "Maps closed genus-0 meshes to the sphere and uses such maps. Meshes are read from ply, "
         "obj, off and stl; maps from the npz that 'parameterize' writes. Collections are learnt "
-        "by 'python train.py'. Exit codes: 0 done, 2 bad input, with one line on stderr."
+        "by 'python train.py'. Exit codes: 0 done; 2 bad input, 130 Ctrl-C, with "
+        "one line on stderr."
     ),
     epilog="Start with: gensp check cow.obj, then gensp parameterize cow.obj --out maps --texture",
     add_completion=False,
@@ -34,19 +38,29 @@ commands.add_typer(runs, name="runs")
 
 
 def app() -> None:
-    """Run the console script: exit code 0, 2 with one line on stderr, or 130 if interrupted."""
+    """Run the console script: exit code 0, or one line on stderr and 2, or 130 if interrupted."""
+    remedy = "files are whole or absent; type the command again"
+    with one_line_stop(_complain, remedy=remedy, patience=_PATIENCE):
+        code = _run(sys.argv[1:] or ["--help"])
+    sys.exit(code)
+
+
+def _run(words: list[str]) -> int:
     try:
-        words = sys.argv[1:] or ["--help"]
-        code = commands(words, prog_name="gensp", standalone_mode=False)
+        return commands(words, prog_name="gensp", standalone_mode=False) or 0
     except typer.Abort:
-        code = 130
+        _complain("stopped; files are whole or absent; type the command again")
+        return 130
     except Exception as error:
         line = fault_line(error)
         if line is None:
             raise
         typer.echo(line, err=True)
-        code = 2
-    sys.exit(code or 0)
+        return 2
+
+
+def _complain(line: str) -> None:
+    typer.echo(f"gensp: {line}", err=True)
 
 
 __all__ = ["app", "commands"]
