@@ -30,7 +30,7 @@ def match(
     surroundings of the vertex keep their size and shape, less where not.
     """
     from gensp.cli.inputs import require_folder
-    from gensp.cli.pairs import pair_of
+    from gensp.cli.pairs import pair_of, tell_apart
     from gensp.cli.terminal import two_columns, written
     from gensp.geometry.matching import matching
 
@@ -47,6 +47,7 @@ def match(
         for name, found in ((f"{first} → {second}", there), (f"{second} → {first}", back))
     ]
     two_columns(f"{first} and {second}", [*rows, written(paths)])
+    tell_apart(pair)
 
 
 def _spread(values: "np.ndarray") -> str:
@@ -85,7 +86,7 @@ def transfer(
     OUT.obj, OUT.mtl, OUT.png.
     """
     from gensp.cli.inputs import require_folder, require_place
-    from gensp.cli.pairs import pair_of
+    from gensp.cli.pairs import pair_of, tell_apart
     from gensp.cli.terminal import two_columns, written
     from gensp.cli.transfer import require_one, transfer_attribute, transfer_texture
 
@@ -99,3 +100,4 @@ def transfer(
         pair = pair_of(source, target, align=align)
         rows = transfer_attribute(pair, str(attribute), out)
     two_columns(f"{pair.a.name} → {pair.b.name}", rows)
+    tell_apart(pair)

@@ -29,7 +29,7 @@ def morph(
     texture, <a>_<b>.png.
     """
     from gensp.cli.inputs import require_folder
-    from gensp.cli.pairs import pair_of
+    from gensp.cli.pairs import pair_of, tell_apart
     from gensp.cli.terminal import two_columns, written
     from gensp.export.polygons import write_ply
     from gensp.geometry.morph import morphed
@@ -44,6 +44,7 @@ def morph(
         write_ply(path, mesh)
     strip = _write_strip(meshes, icosphere, up, out / f"{stem}.png")
     two_columns(stem, [written([paths[0], Path("…"), paths[-1], strip])])
+    tell_apart(pair)
 
 
 def _write_strip(meshes: list["Mesh"], level: int, up: str, path: Path) -> Path:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import typer
 
 from gensp.cli.inputs import chosen_method, is_map, map_of
 from gensp.errors import NotGenusZero
@@ -13,11 +14,18 @@ from gensp.geometry.spherical_map import SphericalMap
 
 @dataclass(frozen=True)
 class Pair:
-    """Maps of two shapes, and the rotation from the first one's sphere to the second's."""
+    """Maps of two shapes, and the rotation from the first one's sphere to the second's.
+
+    Attributes
+    ----------
+    apart
+        Files of those that may have a sphere of their own, which nobody said how to align.
+    """
 
     a: SphericalMap
     b: SphericalMap
     rotation: np.ndarray
+    apart: tuple[Path, ...] = ()
 
     @property
     def names(self) -> tuple[str, str]:
@@ -53,4 +61,24 @@ def pair_of(
             )
             raise NotGenusZero(f"{path}: {found}; a bijective map is required; {remedy}")
     wanted = meshes and model is None if align is None else align
-    return Pair(first, second, aligning_rotation(first, second) if wanted else np.eye(3))
+    apart = _apart({a: first, b: second}) if align is None and not wanted else ()
+    rotation = aligning_rotation(first, second) if wanted else np.eye(3)
+    return Pair(first, second, rotation, apart)
+
+
+def _apart(maps: dict[Path, SphericalMap]) -> tuple[Path, ...]:
+    """Maps that no model has made, as far as files tell: a model's have a reliability."""
+    # One file twice is one sphere.
+    own = [path for path, map in maps.items() if is_map(path) and "reliability" not in map.arrays]
+    return tuple(own) if len(maps) > 1 else ()
+
+
+def tell_apart(pair: Pair) -> None:
+    """Say on stderr which maps may agree only after a rotation; last, as it is no error."""
+    if pair.apart:
+        typer.echo(
+            f"gensp: {', '.join(map(str, pair.apart))}: no array 'reliability', as in maps of a "
+            "method without a model; such maps agree only after a rotation of the sphere; type "
+            "--align if they are",
+            err=True,
+        )

@@ -60,6 +60,27 @@ def test_match_of_a_mesh_aligns(gensp: Run, bumpy_file: Path, map_file: Path) ->
     assert np.median(error) < 0.1
 
 
+def test_maps_that_may_not_share_a_sphere_are_told(
+    gensp: Run, map_file: Path, other_file: Path, tmp_path: Path
+) -> None:
+    """The first is one of a model: its reliability is known."""
+    with np.load(map_file) as found:
+        arrays = {name: found[name] for name in found.files}
+    np.savez(map_file, **arrays, reliability=np.ones(len(arrays["sphere"])))
+    few = ("--frames", 2, "--icosphere", 2)
+    carry = ("--attribute", f"{map_file}:sphere", "--out", tmp_path / "out.npz")
+    for command, *more in (("match",), ("morph", *few), ("transfer", *carry)):
+        out = () if "--out" in more else ("--out", tmp_path)
+        code, _, said = gensp(command, map_file, other_file, *more, *out)
+        assert code == 0
+        assert said.startswith(f"gensp: {other_file}: no array 'reliability'")
+        assert "--align" in said
+        assert said.count("\n") == 1
+    for option in ("--align", "--no-align"):
+        assert gensp("match", map_file, other_file, option, "--out", tmp_path)[2] == ""
+    assert gensp("match", map_file, map_file, "--out", tmp_path)[2] == ""
+
+
 def test_known_reliability_counts(gensp: Run, map_file: Path, tmp_path: Path) -> None:
     map = load_map(map_file)
     doubted = tmp_path / "doubted.npz"
