@@ -89,6 +89,7 @@ def repair(
     require_place(out)
     result = mended(
         mesh,
+        out,
         remesh=remesh,
         resolution=resolution,
         vertices=vertices,

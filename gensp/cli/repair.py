@@ -8,12 +8,10 @@ from gensp.cli.terminal import progress, two_columns, written
 from gensp.errors import BadMesh, NotGenusZero, Unsupported
 from gensp.export.polygons import write_ply
 from gensp.export.wavefront import write_obj
-from gensp.geometry.diagnosis import Diagnosis, diagnose
+from gensp.geometry.diagnosis import Diagnosis, diagnose, enough
 from gensp.geometry.distance import hausdorff
 from gensp.geometry.mesh import FORMATS, MAX_FACES, Mesh, load_mesh, require_genus_zero, save_mesh
 from gensp.geometry.repair import Repaired, bounding_diagonal, repair, sane
-
-_ANY_HOLE = 10.0  # diagonals: longer than the rims of what is still a surface
 
 
 @dataclass(frozen=True)
@@ -26,9 +24,9 @@ class Mended:
 
 
 def mended(
-    path: Path, *, remesh: bool, resolution: int, vertices: int, largest_hole: float
+    path: Path, out: Path, *, remesh: bool, resolution: int, vertices: int, largest_hole: float
 ) -> Mended:
-    """Mend the mesh of a file.
+    """Mend the mesh of a file; `out` is where it will be written, for what is told to type.
 
     Raises
     ------
@@ -44,7 +42,7 @@ def mended(
     except BadMesh as error:
         after = diagnose(found.mesh)
         left = ", ".join(what for what, _ in after.findings) or str(error)
-        words = shlex.join(["gensp", "repair", str(path), "OUT", *_harder(after, largest_hole)])
+        words = shlex.join(["gensp", "repair", str(path), str(out), *_harder(after, largest_hole)])
         raise NotGenusZero(
             f"{path}: {left} left after mending; one closed surface of genus 0 is required; "
             f"type: {words}"
@@ -57,8 +55,8 @@ def mended(
 
 def _harder(after: Diagnosis, largest_hole: float) -> list[str]:
     """Options that may mend what is left: larger holes first, new triangles last."""
-    holes = after.boundary_edges > 0 and largest_hole < _ANY_HOLE
-    return ["--largest-hole", f"{_ANY_HOLE:g}"] if holes else ["--remesh"]
+    holes = after.longest_rim > largest_hole
+    return ["--largest-hole", enough(after.longest_rim)] if holes else ["--remesh"]
 
 
 def _remeshed(path: Path, mesh: Mesh, resolution: int, vertices: int) -> Mended:

@@ -1,5 +1,6 @@
 """What is wrong with a mesh that should be one closed genus-0 surface, counted."""
 
+import math
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import Any
 import igl
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import connected_components
 
 from gensp.errors import BadMesh
@@ -23,6 +24,7 @@ _SINGULAR = {
     "parts": "part",
 }
 REPAIR, REMESH = "gensp repair", "gensp repair --remesh"
+LARGEST_HOLE = 1.0  # diagonals: longer rims are closed only where that is asked for
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,8 @@ class Diagnosis:
         Vertices at another's position; vertices without a face.
     boundary_edges, holes
         Edges with one face; closed loops of them.
+    longest_rim
+        Length of the longest loop once vertices at one place are merged, in diagonals.
     nonmanifold_edges, nonmanifold_vertices
         Edges with more than two faces; vertices whose faces are several fans.
     misoriented_edges
@@ -64,6 +68,7 @@ class Diagnosis:
     unused_vertices: int = 0
     boundary_edges: int = 0
     holes: int = 0
+    longest_rim: float = 0.0
     nonmanifold_edges: int = 0
     nonmanifold_vertices: int = 0
     misoriented_edges: int = 0
@@ -133,7 +138,14 @@ def repair_command(path: Path, found: Diagnosis) -> str:
     words = ["gensp", "repair", str(path), f"{path.stem}_mended.ply"]
     if any(remedy == REMESH for _, remedy in found.findings):
         words.append("--remesh")
+    elif found.longest_rim > LARGEST_HOLE:
+        words += ["--largest-hole", enough(found.longest_rim)]
     return shlex.join(words)
+
+
+def enough(rim: float) -> str:
+    """A limit that lets a rim of this length be closed, rounded up."""
+    return f"{math.ceil(10 * rim + 0.1) / 10:g}"
 
 
 def _complaint(mesh: Mesh, max_faces: int) -> str:
@@ -170,8 +182,9 @@ def _counts(mesh: Mesh) -> dict[str, Any]:
         return found
     edges = edge_counts(faces)
     loops = _loops(faces)
+    rim = _longest_rim(Mesh(mesh.vertices, faces)) if loops else 0.0
     fans = int((~np.asarray(igl.is_vertex_manifold(faces)))[np.unique(faces)].sum())
-    found |= {**edges, "holes": loops, "nonmanifold_vertices": fans}
+    found |= {**edges, "holes": loops, "longest_rim": rim, "nonmanifold_vertices": fans}
     if edges["nonmanifold_edges"] == 0 and fans == 0:
         parts = int(igl.facet_components(faces)[0])
         # Every hole closed by a disc adds one to the Euler characteristic.
@@ -195,6 +208,23 @@ def boundary_half_edges(faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "b 2"]
     undirected = sides.min(axis=1) * n + sides.max(axis=1)
     _, edge, count = np.unique(undirected, return_inverse=True, return_counts=True)
     return sides[count[edge.reshape(-1)] == 1]
+
+
+def _longest_rim(mesh: Mesh) -> float:
+    """In diagonals; vertices at one place count as one, because mending begins with that."""
+    vertices, place = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    used = vertices[np.unique(place.reshape(-1)[mesh.faces])]
+    rims = rim_lengths(Mesh(vertices, place.reshape(-1)[mesh.faces].astype(np.int64)))
+    return float(rims.max(initial=0) / np.linalg.norm(np.ptp(used, axis=0)))
+
+
+def rim_lengths(mesh: Mesh) -> Float[np.ndarray, " k"]:
+    """Length of every hole's rim."""
+    sides = boundary_half_edges(mesh.faces)
+    _, label = boundary_labels(sides)
+    lengths = np.linalg.norm(mesh.vertices[sides[:, 1]] - mesh.vertices[sides[:, 0]], axis=1)
+    # Of nothing, bincount makes integers.
+    return np.bincount(label, weights=lengths).astype(np.float64)
 
 
 def _loops(faces: Int[np.ndarray, "m 3"]) -> int:

@@ -1,7 +1,7 @@
 """Closing holes: boundary loops filled with triangles."""
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from gensp.geometry.diagnosis import boundary_half_edges, boundary_labels
 from gensp.geometry.mesh import Mesh
@@ -42,11 +42,3 @@ def _triangles(
     total = np.bincount(label, weights=sides[:, 0]).astype(np.int64)
     a, b = sides[first[three]].T
     return np.stack([b, a, total[three] - a - b], axis=1)
-
-
-def rim_lengths(mesh: Mesh) -> Float[np.ndarray, " k"]:
-    """Length of every hole's rim."""
-    sides = boundary_half_edges(mesh.faces)
-    _, label = boundary_labels(sides)
-    lengths = np.linalg.norm(mesh.vertices[sides[:, 1]] - mesh.vertices[sides[:, 0]], axis=1)
-    return np.bincount(label, weights=lengths)

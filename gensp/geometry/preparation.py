@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from gensp.errors import BadMesh, EmptyLevelSet
-from gensp.geometry.diagnosis import Diagnosis, counted, diagnose
+from gensp.geometry.diagnosis import LARGEST_HOLE, Diagnosis, counted, diagnose
 from gensp.geometry.distance import hausdorff
 from gensp.geometry.mesh import MAX_FACES, Mesh, simplify
 from gensp.geometry.repair import bounding_diagonal, remedies, repair, require_steps, sane
@@ -75,7 +75,7 @@ class Preparation:
 
     repair: tuple[str, ...] = ()
     weld: float = 1e-9
-    largest_hole: float = 1.0
+    largest_hole: float = LARGEST_HOLE
     solid: Mapping[str, Any] = field(default_factory=dict)
     vertices: int | None = None
     remesh: bool = False

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from gensp.errors import DegenerateMesh, Unsupported
-from gensp.geometry.diagnosis import Diagnosis
+from gensp.geometry.diagnosis import LARGEST_HOLE, Diagnosis
 from gensp.geometry.flat_faces import without_flat
 from gensp.geometry.holes import fill_holes
 from gensp.geometry.mesh import Mesh, signed_volume
@@ -50,7 +50,7 @@ def repair(
     *,
     steps: Collection[str] = STEPS,
     weld: float = 1e-9,
-    largest_hole: float = 1.0,
+    largest_hole: float = LARGEST_HOLE,
 ) -> Repaired:
     """Mend orientation, duplicates, small holes, extra parts, non-manifold edges, flat faces.
 

@@ -152,6 +152,29 @@ def test_a_hole_that_is_left_names_the_option_that_closes_it(
     path = tmp_path / "open.ply"
     DEFECTS["open"][0](path)
     line = refused("repair", path, tmp_path / "mended.ply", "--largest-hole", 0.001)
-    assert line.endswith(f"type: gensp repair {path} OUT --largest-hole 10")
-    words = ("--largest-hole", 10)
-    assert gensp("repair", path, tmp_path / "mended.ply", *words)[0] == 0
+    words = shlex.split(line.split("type: ")[1])
+    assert words[:4] == ["gensp", "repair", str(path), str(tmp_path / "mended.ply")]
+    assert words[4] == "--largest-hole"
+    assert gensp(*words[1:])[0] == 0
+
+
+@pytest.mark.parametrize("soup", [False, True])
+def test_a_long_rim_is_measured(
+    gensp: Run,
+    refused: Refused,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    soup: bool,
+) -> None:
+    """More than half of a ball: its rim is 6, the diagonal 3.1; a soup shares no corner."""
+    monkeypatch.chdir(tmp_path)
+    ball = icosphere(3)
+    low = ball.faces[(ball.vertices[ball.faces][:, :, 2] < 0.3).all(axis=1)]
+    bowl = Mesh(ball.vertices[low].reshape(-1, 3), np.arange(low.size).reshape(-1, 3))
+    save_mesh(bowl if soup else Mesh(ball.vertices, low), tmp_path / "bowl.ply")
+    remedy = "gensp repair bowl.ply bowl_mended.ply --largest-hole 2"
+    assert f"type: {remedy}" in gensp("check", "bowl.ply")[1]
+    line = refused("parameterize", "bowl.ply")
+    words = shlex.split(line.split("type: ")[1])
+    assert gensp(*words[1:])[0] == 0
+    require_genus_zero(load_mesh("bowl_mended.ply"))
