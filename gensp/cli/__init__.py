@@ -4,9 +4,11 @@ Every command does its work in functions of the library, which are imported when
 """
 
 import sys
+from typing import Annotated
 
 import typer
 
+from gensp import __version__
 from gensp.cli.card import card
 from gensp.cli.correspondence import match, transfer
 from gensp.cli.faults import fault_line
@@ -35,6 +37,24 @@ commands = typer.Typer(
 for command in (parameterize, check, repair, match, transfer, morph, view, card):
     commands.command()(command)
 commands.add_typer(runs, name="runs")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"gensp {__version__}")
+        raise typer.Exit
+
+
+@commands.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", help="Print the version.", callback=_print_version, is_eager=True
+        ),
+    ] = False,
+) -> None:
+    """What can be said before a command."""
 
 
 def app() -> None:

@@ -106,6 +106,10 @@ def test_what_is_no_mesh_is_told_by_what_it_is(refused: Refused, tmp_path: Path)
     assert "does not exist; a triangle mesh is required; correct the path" in line
 
 
+def test_version(gensp: Run) -> None:
+    assert gensp("--version") == (0, f"gensp {package.__version__}\n", "")
+
+
 def test_help_names_every_method(gensp: Run) -> None:
     said = gensp("parameterize", "--help")[1]
     assert not [name for name in PER_SHAPE if name not in said]
