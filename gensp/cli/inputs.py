@@ -25,9 +25,10 @@ def sound_mesh(path: Path) -> Mesh:
     found = diagnose(mesh)
     if not found.usable:
         what = ", ".join(words for words, _ in found.findings)
+        only_large = found.too_large and len(found.findings) == 1
+        required = "fewer faces are" if only_large else "one closed surface of genus 0 is"
         raise NotGenusZero(
-            f"{path}: {what}; one closed surface of genus 0 is required; type: "
-            f"{repair_command(path, found)}"
+            f"{path}: {what}; {required} required; type: {repair_command(path, found)}"
         )
     return mesh
 

@@ -37,10 +37,11 @@ def mended(
     if remesh:
         return _remeshed(path, sane(mesh), resolution, vertices)
     found: Repaired = repair(mesh, largest_hole=largest_hole)
+    most = max(MAX_FACES, len(mesh.faces))
     try:
-        require_genus_zero(found.mesh, max_faces=max(MAX_FACES, len(mesh.faces)))
+        require_genus_zero(found.mesh, max_faces=most)
     except BadMesh as error:
-        after = diagnose(found.mesh)
+        after = diagnose(found.mesh, max_faces=most)
         left = ", ".join(what for what, _ in after.findings) or str(error)
         words = shlex.join(["gensp", "repair", str(path), str(out), *_harder(after, largest_hole)])
         raise NotGenusZero(

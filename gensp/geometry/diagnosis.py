@@ -53,6 +53,8 @@ class Diagnosis:
         Handles, with every hole closed; None where that means nothing.
     inward
         The faces look inwards.
+    max_faces
+        So many faces are taken.
     complaint
         What `require_genus_zero` says; empty if the mesh can be used.
     """
@@ -75,12 +77,18 @@ class Diagnosis:
     components: int = 0
     genus: int | None = None
     inward: bool = False
+    max_faces: int = MAX_FACES
     complaint: str = ""
 
     @property
     def usable(self) -> bool:
         """Whether the mesh can be parameterized as it is."""
         return not self.complaint
+
+    @property
+    def too_large(self) -> bool:
+        """Whether the mesh has more faces than are taken."""
+        return self.faces > self.max_faces
 
     @property
     def findings(self) -> list[tuple[str, str]]:
@@ -92,13 +100,15 @@ class Diagnosis:
         if self.inward:
             told.append(("faces look inwards", REPAIR))
         if not told and not self.usable:
-            # What no count tells: too many faces, or too few.
+            # What no count tells: too few faces.
             told.append((_bare(self.complaint), REMESH))
         return told
 
     def _table(self) -> list[tuple[int, str, str]]:
         parts = self.components if self.components > 1 else 0
+        size = self.faces if self.too_large else 0
         return [
+            (size, f"faces (at most {self.max_faces} are taken)", REMESH),
             (self.not_finite, "non-finite vertices", REPAIR),
             (self.out_of_range, "faces with missing vertices", "export again"),
             (self.duplicate_vertices, "duplicate vertices", REPAIR),
@@ -128,6 +138,7 @@ def diagnose(mesh: Mesh, *, max_faces: int = MAX_FACES) -> Diagnosis:
         out_of_range=int((~known).sum()),
         duplicate_vertices=len(sound) - len(np.unique(mesh.vertices, axis=0)),
         unused_vertices=len(sound) - len(np.unique(part.faces)),
+        max_faces=max_faces,
         complaint=_complaint(mesh, max_faces),
         **counts,
     )
@@ -138,9 +149,15 @@ def repair_command(path: Path, found: Diagnosis) -> str:
     words = ["gensp", "repair", str(path), f"{path.stem}_mended.ply"]
     if any(remedy == REMESH for _, remedy in found.findings):
         words.append("--remesh")
+        words += ["--vertices", str(_fewer(found.max_faces))] if found.too_large else []
     elif found.longest_rim > LARGEST_HOLE:
         words += ["--largest-hole", enough(found.longest_rim)]
     return shlex.join(words)
+
+
+def _fewer(max_faces: int) -> int:
+    """Vertices of a mesh that is as fine as its map is still soon there: a fifth of the limit."""
+    return max(100, max_faces // 10)
 
 
 def enough(rim: float) -> str:

@@ -2,6 +2,7 @@
 
 import re
 import shlex
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from conftest import Refused, Run
 from test_bad_meshes import DEFECTS
 
+from gensp.geometry.diagnosis import diagnose
 from gensp.geometry.mesh import Mesh, load_mesh, require_genus_zero, save_mesh
 from gensp.geometry.sphere import icosphere
 
@@ -56,6 +58,24 @@ def test_check_lists_all_and_ends_well_if_all_are_usable(
     assert code == 2
     for words in ("nothing", "genus 1", "gensp repair --remesh", "does not exist"):
         assert words in said
+
+
+def test_a_mesh_beyond_the_limit_is_told_how_to_be_made_smaller(
+    gensp: Run, refused: Refused, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bumpy: Mesh
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    save_mesh(bumpy, tmp_path / "bumpy.ply")
+    remedy = "gensp repair bumpy.ply bumpy_mended.ply --remesh --vertices 100"
+    told = "1280 faces (at most 1000 are taken)"
+    said = gensp("check", "bumpy.ply", "--max-faces", 1000)[1]
+    assert told in said
+    assert f"type: {remedy}\n" in said
+    limited = partial(diagnose, max_faces=1000)
+    monkeypatch.setattr("gensp.cli.inputs.diagnose", limited)
+    line = f"gensp: bumpy.ply: {told}; fewer faces are required; type: {remedy}"
+    assert refused("parameterize", "bumpy.ply") == line
+    assert gensp(*remedy.split()[1:])[0] == 0
+    assert gensp("check", "bumpy_mended.ply", "--max-faces", 1000)[0] == 0
 
 
 def test_check_breaks_no_name(gensp: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

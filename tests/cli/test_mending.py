@@ -77,7 +77,8 @@ def test_sound_mesh_has_no_finding(bumpy: Mesh) -> None:
 
 def test_too_many_faces_are_a_finding(bumpy: Mesh) -> None:
     found = diagnose(bumpy, max_faces=1000)
-    assert found.findings == [("1280 faces", "gensp repair --remesh")]
+    told = "1280 faces (at most 1000 are taken)"
+    assert found.findings == [(told, "gensp repair --remesh")]
 
 
 @pytest.mark.parametrize("name", MENDED)
