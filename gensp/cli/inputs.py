@@ -4,6 +4,7 @@ import os
 import shlex
 from pathlib import Path
 
+from gensp.cli.earlier import is_earlier
 from gensp.cli.terminal import compile_announced, progress
 from gensp.errors import DamagedFile, NotGenusZero, OutputError, UnreadableMesh, Unsupported
 from gensp.files import load_npz
@@ -97,6 +98,11 @@ def read_map(path: Path) -> SphericalMap:
     if not path.is_file():
         raise UnreadableMesh(
             f"{path}: does not exist; a map is required; write it with gensp parameterize"
+        )
+    arrays_of = path.with_suffix(".npz")
+    if path.suffix.lower() == ".ply" and arrays_of.is_file() and is_earlier(path):
+        raise UnreadableMesh(
+            f"{path}: is the PLY of a map; the npz beside it is required; name {arrays_of}"
         )
     if path.suffix.lower() in FORMATS:
         raise UnreadableMesh(

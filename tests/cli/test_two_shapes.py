@@ -191,6 +191,16 @@ def test_view_of_a_mesh_says_how_to_get_its_map(refused: Refused, bumpy_file: Pa
     )
 
 
+def test_view_of_the_ply_of_a_map_names_its_npz(
+    gensp: Run, refused: Refused, map_file: Path
+) -> None:
+    line = refused("view", map_file.with_suffix(".ply"))
+    assert line.endswith(f"the npz beside it is required; name {map_file}")
+    assert gensp("view", line.split("name ")[1], "--no-open")[0] == 0
+    map_file.unlink()
+    assert "type: gensp parameterize" in refused("view", map_file.with_suffix(".ply"))
+
+
 def _maps(folder: Path, map: SphericalMap) -> dict[str, Path]:
     """Files that are no maps, each for its own reason."""
     arrays = {"vertices": map.surface, "faces": map.faces, "sphere": map.sphere}
