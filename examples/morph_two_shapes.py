@@ -6,11 +6,13 @@ Every frame is g(z, ·) on the same icosphere, so all frames correspond vertex b
 """
 
 import argparse
+import sys
 from pathlib import Path
 
 import numpy as np
 
 from gensp import GenSP, Mesh, load_mesh, save_mesh
+from gensp.errors import GenSPError
 from gensp.geometry.mesh import normalize, require_genus_zero
 from gensp.methods.fitting import NoFit
 from gensp.methods.refinement import NoRefinement
@@ -58,4 +60,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except GenSPError as error:
+        sys.exit(str(error))

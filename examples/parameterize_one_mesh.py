@@ -7,9 +7,11 @@ Without a model the map is that of conformalised mean curvature flow, which lear
 """
 
 import argparse
+import sys
 from pathlib import Path
 
 from gensp import CMCF, GenSP, SphericalMap, load_mesh, save_map
+from gensp.errors import GenSPError
 from gensp.geometry.mesh import require_genus_zero
 from gensp.methods import SphericalParameterization
 from gensp.methods.fitting import NoFit, RegisterFit
@@ -58,4 +60,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except GenSPError as error:
+        sys.exit(str(error))

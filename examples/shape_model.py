@@ -8,6 +8,7 @@ deviations from the mean are split into principal components.
 """
 
 import argparse
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,6 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gensp import Mesh, load_map, save_mesh
+from gensp.errors import GenSPError
 from gensp.files import atomic_path
 from gensp.geometry.mesh import normalize
 from gensp.geometry.sphere import icosphere
@@ -99,4 +101,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except GenSPError as error:
+        sys.exit(str(error))

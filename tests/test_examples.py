@@ -61,6 +61,23 @@ def test_morph_two_shapes(tmp_path, monkeypatch, bumpy: Mesh, ellipsoid: Mesh, m
     assert (tmp_path / "out" / "bumpy-ellipsoid.png").exists()
 
 
+def test_bad_input_is_told_in_one_line(tmp_path, monkeypatch, bumpy: Mesh, model):
+    """Meshes with a hole, and an npz that is no map."""
+    paths = [tmp_path / f"{name}.ply" for name in ("cup", "bowl")]
+    for path in paths:
+        save_mesh(Mesh(bumpy.vertices, bumpy.faces[1:]), path)
+    np.savez(tmp_path / "heights.npz", height=bumpy.vertices)
+    for name, words, told in (
+        ("parameterize_one_mesh.py", paths[:1], "cup: 3 boundary edges"),
+        ("morph_two_shapes.py", [model, *paths], "cup: 3 boundary edges"),
+        ("shape_model.py", [tmp_path], f"{tmp_path / 'heights.npz'}: arrays faces, sphere"),
+    ):
+        with pytest.raises(SystemExit) as ended:
+            run_example(monkeypatch, name, *words, "--out", tmp_path / "out")
+        assert str(ended.value).startswith(told)
+        assert "\n" not in str(ended.value)
+
+
 # What Register does with its output, as its README tells: the source, its sphere turned.
 REGISTER = """
 from pathlib import Path
