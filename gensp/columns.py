@@ -28,6 +28,14 @@ COLUMNS = (
         "c after a rotation found from the maps alone; not fit=register",
     ),
     Column("c_area", "c (area)", "c at points area-uniform on the shape"),
+    Column(
+        "c_frame",
+        "c (frame)",
+        "c where no ground truth is, each point's own place for its true one; perfect maps have "
+        "no 0",
+    ),
+    Column("c_frame_registered", "c (frame, registered)", "the same, rotated as c (registered)"),
+    Column("c_frame_area", "c (frame, area)", "c (frame) at points area-uniform on the shape"),
     Column("error", "error", "implied correspondence over √area, no rotation, mean over pairs", 4),
     Column(
         "error_rotated",
@@ -74,6 +82,8 @@ TERMINAL = (
     "sigma_max",
     "conformal_mean",
     "c",
+    "c_frame",
+    "c_frame_registered",
     "error",
     "error_rotated",
     "error_registered",
@@ -111,6 +121,9 @@ PARTS = (
             Column("c", "c", "consistency of the paper, over nearest of the pairs, no rotation"),
             Column("c_registered", "c (registered)", "after a rotation found without truth"),
             Column("c_rotated", "c (rotated)", "rotated as error (rotated)"),
+            Column("c_frame", "c (frame)", "c without truth, each point's own place for its true"),
+            Column("c_frame_registered", "c (frame, registered)", "as c (registered)"),
+            Column("c_frame_area", "c (frame, area)", "at points area-uniform on the shape"),
             Column("error", "error", "implied correspondence over √area, no rotation", 4),
             Column("error_registered", "error (registered)", "as c (registered)", 4),
             Column(
@@ -125,6 +138,7 @@ PARTS = (
             Column("within", "within 0.05", "share of points of at most that geodesic error"),
             Column("within_rotated", "within 0.05 (rotated)", "rotated as error (rotated)"),
             Column("pairs", "pairs", "pairs with dense ground truth that were measured", 0),
+            Column("frame_pairs", "pairs (frame)", "pairs without truth that were measured", 0),
         ),
     ),
     Part(

@@ -9,7 +9,8 @@ from gensp.tables import markdown_table
 
 _LARGEST_FIRST = {"within", "within_rotated"}
 _NOT_RANKED = {
-    *("pairs", "keypoint_pairs", "shapes", "failures", "affected_shapes", "wrong_degree"),
+    *("pairs", "keypoint_pairs", "frame_pairs"),
+    *("shapes", "failures", "affected_shapes", "wrong_degree"),
     *(
         "vertices_median",
         "vertices_max",

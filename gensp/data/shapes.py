@@ -190,6 +190,14 @@ class ShapeCollection:
         record = self.keypoint_record(id)
         return None if record is None else keypoints_of(record)
 
+    @cached_property
+    def has_truth(self) -> bool:
+        """Whether any shape has dense ground truth or semantic keypoints."""
+        return any(
+            shape.correspondence is not None or self.keypoint_record(id) is not None
+            for id, shape in self._shapes.items()
+        )
+
     def points_in_common(
         self, first: str, second: str
     ) -> tuple["SurfacePoints", "SurfacePoints", bool] | None:

@@ -39,6 +39,28 @@ def correspondence_error(
     return np.linalg.norm(implied - true, axis=1) / np.sqrt(map_j.mesh.area)
 
 
+def frame_error(
+    map_i: SphericalMap,
+    map_j: SphericalMap,
+    at_i: SurfacePoints,
+    rotation: Float[np.ndarray, "3 3"] | None = None,
+) -> Float[np.ndarray, " k"]:
+    """The same where no ground truth is, x_k itself for m_ij(x_k): both shapes in one frame.
+
+    ‖m_j⁻¹(R m_i(x_k)) − x_k‖ / √area(S_j). Zero only where the shapes coincide.
+
+    Parameters
+    ----------
+    at_i
+        k points x_k on S_i.
+    rotation
+        R; none is the identity.
+    """
+    implied = _implied(map_i, map_j, at_i, rotation)
+    x = at_i.on(map_i.surface, map_i.faces)
+    return np.linalg.norm(implied - x, axis=1) / np.sqrt(map_j.mesh.area)
+
+
 def geodesic_error(
     map_i: SphericalMap,
     map_j: SphericalMap,

@@ -31,6 +31,8 @@ CARDS = (
     "error_rotated",
     "error_registered",
     "c",
+    "c_frame",
+    "c_frame_registered",
     "bad_faces_percent",
     "seconds",
 )

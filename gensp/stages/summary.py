@@ -21,6 +21,7 @@ _CURVES = {
     **{"geodesic_raw": "_geodesic", "geodesic_rotated": "_geodesic_rotated"},
 }
 _NEIGHBOURS = tuple(name + turn for name in ("c", "c_area") for turn in _TURNS)
+_FRAME = tuple(name + turn for name in ("c_frame", "c_frame_area") for turn in ("", "_registered"))
 
 Record = dict[str, Any]
 
@@ -73,7 +74,16 @@ def group_figures(
         **_means(near, _NEIGHBOURS),
         "keypoint_pairs": len(keypoints),
         **{f"keypoint_{key}": value for key, value in _means(keypoints, _SPARSE).items()},
+        **_frame_figures(inside, mark),
     }
+
+
+def _frame_figures(inside: Sequence[Record], mark: str) -> dict[str, float | int]:
+    """Figures of a collection without ground truth; nothing of one that has any."""
+    pairs = [pair for pair in inside if pair["kind"] == "frame"]
+    near = [pair for pair in pairs if pair.get(mark)]
+    counts = {"frame_pairs": len(pairs), "frame_neighbour_pairs": len(near)}
+    return {**_means(near, _FRAME), **counts} if pairs else {}
 
 
 def _shares(dense: Sequence[Record]) -> dict[str, float]:

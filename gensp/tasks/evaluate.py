@@ -19,7 +19,10 @@ from gensp.geometry.sphere import icosphere_of
 from gensp.geometry.spherical_map import SphericalMap, load_map
 from gensp.layout import item_file
 from gensp.runs import Run
-from gensp.tasks.pairs import EvaluatedMap, Record, pair_records
+from gensp.tasks.pairs import EvaluatedMap, Record, frame_record, pair_records
+
+# With whom a shape without ground truth is compared unless `partners` says: c is of the nearest.
+PARTNERS_IN_FRAME = 12
 
 
 @dataclass(frozen=True)
@@ -35,7 +38,8 @@ class Evaluate:
     samples
         Random points that stand for the sphere, and for the surface, in c.
     partners
-        About so many other shapes each shape is compared with; none: with all.
+        About so many other shapes each shape is compared with; none: with all, but with
+        `PARTNERS_IN_FRAME` where the collection has no ground truth at all.
     """
 
     parameterize: Path
@@ -55,17 +59,21 @@ class Evaluate:
     def _partners(self, id: str) -> list[str]:
         """The shapes whose pair with this one is measured here: half of all, each pair once."""
         circle = _circle(self.collection)
-        place = circle.places[id]
+        place, partners = circle.places[id], self.partners
+        if partners is None and not self.collection.has_truth:
+            partners = PARTNERS_IN_FRAME
         return [
             circle.ids[index]
-            for index in circle.near(place, self.partners)
+            for index in circle.near(place, partners)
             if (index + place) % 2 == (index > place)
             and map_path(self.parameterize, circle.ids[index]).is_file()
         ]
 
     def _pair(self, id: str, other: str) -> list[Record]:
         names = {"first": id, "second": other, "group": self._group(id, other)}
-        return [names | record for record in pair_records(self._map(id), self._map(other))]
+        maps = self._map(id), self._map(other)
+        records = pair_records(*maps) if self.collection.has_truth else [frame_record(*maps)]
+        return [names | record for record in records]
 
     def _group(self, id: str, other: str) -> str:
         split = self.collection.shape(id).split

@@ -16,15 +16,19 @@ from gensp.geometry.consistency import (
     prediction_error,
     sphere_uniform_weights,
 )
-from gensp.geometry.implied import MatchedMaps, symmetric_error
+from gensp.geometry.implied import MatchedMaps, frame_error, symmetric_error
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.pair_rotation import pair_rotation
+from gensp.geometry.points import SurfacePoints, sample_surface
 from gensp.geometry.rotation_registration import density_signal, register_rotation
+from gensp.geometry.sphere import sample_sphere
 from gensp.geometry.spherical_map import SphericalMap
 
 # The errors of a pair are kept at these quantiles, for the curve "fraction below x".
 QUANTILES = (np.arange(64) + 0.5) / 64
 GEODESICS = 32  # points of a pair, each way, whose error is measured along the surface, too
+IN_FRAME = 2048  # points of a shape that are carried to another one without ground truth, at most
+COINCIDE = 1e-9  # shapes at area 4π that are closer are one, but for rounding
 Record = dict[str, Any]
 Errors = tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]
 
@@ -74,6 +78,17 @@ class EvaluatedMap:
             "c_area": area_uniform_weights(self.map, at, count, np.random.default_rng(1)),
         }
 
+    @cached_property
+    def samples_in_frame(self) -> Mapping[str, SurfacePoints]:
+        """Points uniform on the sphere and on the surface where no ground truth names any."""
+        count = min(self.samples, IN_FRAME)
+        on_sphere = sample_sphere(count, np.random.default_rng(0))
+        areas = self.map.mesh.face_areas
+        return {
+            "c_frame": self.map.locate(on_sphere),
+            "c_frame_area": sample_surface(areas, count, np.random.default_rng(1)),
+        }
+
 
 def pair_records(a: EvaluatedMap, b: EvaluatedMap) -> list[Record]:
     """What is measured between two maps; nothing where no ground truth joins them.
@@ -89,6 +104,25 @@ def pair_records(a: EvaluatedMap, b: EvaluatedMap) -> list[Record]:
         if len(rows):
             return [_sparse(a, b, rows, others)]
     return []
+
+
+def frame_record(a: EvaluatedMap, b: EvaluatedMap) -> Record:
+    """What is measured between two maps without any ground truth: c with x itself for m_ij(x).
+
+    As they are, and after the rotation that is found from the maps alone; in both directions.
+    """
+    hausdorff = a.hausdorff.distance(b.hausdorff)
+    # Of copies of one shape c is no number: rounding would be divided by rounding.
+    scale = np.sqrt(a.map.mesh.area) / hausdorff if hausdorff > COINCIDE else np.nan
+    registered = register_rotation(a.signal, b.signal, candidates=1)[0].rotation
+    points = len(a.samples_in_frame["c_frame"])
+    record: Record = {"kind": "frame", "points": points, "hausdorff": hausdorff}
+    for suffix, turn in (("", np.eye(3)), ("_registered", registered)):
+        for name, at in a.samples_in_frame.items():
+            ahead = frame_error(a.map, b.map, at, turn)
+            behind = frame_error(b.map, a.map, b.samples_in_frame[name], turn.T)
+            record[name + suffix] = float(scale * _mean((ahead, behind)))
+    return record
 
 
 def _sparse(a: EvaluatedMap, b: EvaluatedMap, rows: np.ndarray, others: np.ndarray) -> Record:

@@ -10,12 +10,15 @@ import pytest
 from lightning import Trainer
 from scipy.spatial.transform import Rotation
 
+from gensp.benchmark import Benchmark
 from gensp.compute import run_items
+from gensp.data.folder import Shape
 from gensp.data.ground_truth import GroundTruth, save_ground_truth
 from gensp.data.modules import ItemsModule
 from gensp.data.shapes import ShapeCollection
 from gensp.errors import MissingData
 from gensp.files import save_npz, write_json
+from gensp.geometry.implied import frame_error
 from gensp.geometry.mesh import Mesh, normalize, save_mesh
 from gensp.geometry.points import SurfacePoints, sample_surface
 from gensp.geometry.sphere import icosphere
@@ -26,8 +29,8 @@ from gensp.stages.base import write_table
 from gensp.stages.evaluate import EvaluateStage
 from gensp.stages.summary import summarize, without_nan
 from gensp.tables import summary_markdown
-from gensp.tasks.evaluate import Evaluate, evaluate_items, evaluate_task
-from gensp.tasks.pairs import EvaluatedMap, pair_records
+from gensp.tasks.evaluate import Evaluate, evaluate_items, evaluate_task, map_path
+from gensp.tasks.pairs import EvaluatedMap, frame_record, pair_records
 
 TURN = Rotation.from_rotvec([0.1, 0.6, -0.3]).as_matrix()
 NAMES = {"experiment": "test", "variant": "full", "method": "gensp"}
@@ -72,7 +75,20 @@ def maps(tmp_path: Path, collection: ShapeCollection) -> Run:
 
 @pytest.fixture
 def evaluated(tmp_path: Path, collection: ShapeCollection, maps: Run) -> tuple[Path, dict]:
-    folder, inputs = tmp_path / "evaluate", {"parameterize": maps}
+    folder = tmp_path / "evaluate"
+    return folder, evaluate(folder, maps, collection)
+
+
+@pytest.fixture
+def unknown(tmp_path: Path, collection: ShapeCollection) -> ShapeCollection:
+    """The same shapes in a folder that knows no ground truth."""
+    for id in SHAPES:
+        save_mesh(collection.mesh(id), tmp_path / "unknown" / f"{id}.ply")
+    return ShapeCollection.from_folder(tmp_path / "unknown", name="folder")
+
+
+def evaluate(folder: Path, maps: Run, collection: ShapeCollection) -> dict[str, float]:
+    inputs = {"parameterize": maps}
     data = ItemsModule.from_runs(
         inputs,
         folder,
@@ -85,7 +101,7 @@ def evaluated(tmp_path: Path, collection: ShapeCollection, maps: Run) -> tuple[P
         logger=False, enable_checkpointing=False, accelerator="cpu", enable_progress_bar=False
     )
     trainer.predict(stage, datamodule=data, return_predictions=False)
-    return folder, stage.finish()
+    return stage.finish()
 
 
 def table(path: Path) -> list[dict[str, str]]:
@@ -164,6 +180,89 @@ def test_summary_groups_splits_and_lists_what_is_missing(evaluated: tuple[Path, 
     assert "open" in text
     assert "gone" in text
     assert len(table(folder / "summary.csv")) == 3
+
+
+def test_without_ground_truth_c_is_of_the_places_themselves(
+    unknown: ShapeCollection, maps: Run, tmp_path: Path
+) -> None:
+    metrics = evaluate(tmp_path / "out", maps, unknown)
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    found = summary["groups"]["all"]
+    assert found["c_frame"] == metrics["all/c_frame"] > 0
+    assert {"c_frame_registered", "c_frame_area", "c_frame_area_registered"} <= found.keys()
+    assert found["frame_pairs"] == found["frame_neighbour_pairs"] == 6
+    assert found["pairs"] == found["keypoint_pairs"] == 0
+    assert not {"c", "error", "geodesic", "keypoint_error"} & found.keys()
+    text = (tmp_path / "out" / "summary.md").read_text()
+    assert "| c (frame) | c (frame, registered) | c (frame, area) | bad faces % |" in text
+    assert "pairs (frame)" in Benchmark((summary,)).markdown()
+
+
+def test_with_ground_truth_no_pair_is_measured_without(evaluated: tuple[Path, dict]) -> None:
+    assert {row["kind"] for row in table(evaluated[0] / "pairs.csv")} == {"dense"}
+    groups = json.loads((evaluated[0] / "summary.json").read_text())["groups"]
+    assert not [key for group in groups.values() for key in group if "frame" in key]
+
+
+def test_c_without_ground_truth_is_what_maps_say_against_how_far_shapes_are_apart(
+    bumpy: Mesh, ellipsoid: Mesh
+) -> None:
+    ball = icosphere(3)
+    maps = [
+        SphericalMap(ball.vertices, normalize(mesh).vertices, mesh.faces)
+        for mesh in (bumpy, ellipsoid)
+    ]
+    record = frame_record(*map(EvaluatedMap, maps))
+    # Both maps have one sphere: the same corners and weights on either surface.
+    at = sample_surface(ball.face_areas, 20_000, np.random.default_rng(3))
+    between = at.on(maps[0].surface - maps[1].surface, ball.faces)
+    expected = np.linalg.norm(between, axis=1).mean() / record["hausdorff"]
+    assert record["c_frame"] == pytest.approx(expected, rel=0.03)
+    back = frame_record(*map(EvaluatedMap, maps[::-1]))
+    for key in ("hausdorff", "c_frame", "c_frame_area", "c_frame_registered"):
+        assert back[key] == pytest.approx(record[key], rel=1e-6)
+
+
+def test_a_copy_of_a_shape_has_no_error_in_the_frame_but_no_c(bumpy: Mesh) -> None:
+    map = SphericalMap(icosphere(3).vertices, bumpy.vertices, bumpy.faces)
+    at = sample_surface(bumpy.face_areas, 100, np.random.default_rng(0))
+    assert frame_error(map, map, at).max() < 1e-9
+    assert frame_error(map, map.rotated(TURN), at, TURN).max() < 1e-9
+    assert frame_error(map, map.rotated(TURN), at).mean() > 0.05
+    record = frame_record(EvaluatedMap(map), EvaluatedMap(map))
+    assert np.isnan(record["c_frame"])
+
+
+def test_registered_c_without_ground_truth_does_not_see_rotations(bumpy: Mesh) -> None:
+    ball = icosphere(3).vertices
+    grown = bumpy.with_vertices(bumpy.vertices * np.where(ball[:, :1] > 0.4, 1.1, 1))
+    other = EvaluatedMap(SphericalMap(ball, grown.vertices, grown.faces))
+    still = SphericalMap(ball, bumpy.vertices, bumpy.faces)
+    before = frame_record(EvaluatedMap(still), other)
+    after = frame_record(EvaluatedMap(still.rotated(TURN)), other)
+    assert after["c_frame"] > 2 * before["c_frame_registered"]
+    assert after["c_frame_registered"] == pytest.approx(before["c_frame_registered"], rel=0.05)
+    assert after["c_frame_area_registered"] == pytest.approx(
+        before["c_frame_area_registered"], rel=1e-3
+    )
+
+
+@pytest.mark.parametrize(
+    ("partners", "truth", "pairs"),
+    [(None, False, 20 * 12 / 2), (None, True, 20 * 19 / 2), (4, False, 20 * 4 / 2)],
+)
+def test_without_ground_truth_a_shape_is_compared_with_a_few(
+    partners: int | None, truth: bool, pairs: int, tmp_path: Path
+) -> None:
+    known = tmp_path / "known.npz" if truth else None
+    shapes = [Shape(str(k), tmp_path / f"{k}.ply", correspondence=known) for k in range(20)]
+    collection = ShapeCollection("twenty", shapes, on_bad="keep")
+    work = Evaluate(tmp_path, tmp_path, collection, partners=partners)
+    for id in collection.ids():
+        map_path(tmp_path, id).parent.mkdir(exist_ok=True)
+        map_path(tmp_path, id).touch()
+    found = [{id, other} for id in collection.ids() for other in work._partners(id)]
+    assert len(found) == len({frozenset(pair) for pair in found}) == pairs
 
 
 def test_summary_names_shapes_that_no_registration_reached(
