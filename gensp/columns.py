@@ -31,8 +31,8 @@ COLUMNS = (
     Column(
         "c_frame",
         "c (frame)",
-        "c where no ground truth is, each point's own place for its true one; perfect maps have "
-        "no 0",
+        "c where no ground truth is, each point's own place taken for its true one; perfect maps "
+        "are above 0",
     ),
     Column("c_frame_registered", "c (frame, registered)", "the same, rotated as c (registered)"),
     Column("c_frame_area", "c (frame, area)", "c (frame) at points area-uniform on the shape"),
@@ -121,7 +121,7 @@ PARTS = (
             Column("c", "c", "consistency of the paper, over nearest of the pairs, no rotation"),
             Column("c_registered", "c (registered)", "after a rotation found without truth"),
             Column("c_rotated", "c (rotated)", "rotated as error (rotated)"),
-            Column("c_frame", "c (frame)", "c without truth, each point's own place for its true"),
+            Column("c_frame", "c (frame)", "without truth: c of each point's own place"),
             Column("c_frame_registered", "c (frame, registered)", "as c (registered)"),
             Column("c_frame_area", "c (frame, area)", "at points area-uniform on the shape"),
             Column("error", "error", "implied correspondence over √area, no rotation", 4),

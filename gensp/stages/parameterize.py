@@ -29,7 +29,8 @@ class ParameterizeStage(ItemStage):
             "bad_faces": _sum(rows, "bad_faces"),
             **_starts(rows),
             "folded_maps": sum(bool(row["bad_faces"]) or abs(_degree(row)) != 1 for row in rows),
-            "seconds": round(_sum(rows, "seconds") / max(len(rows), 1), 4),
+            # A run's own seconds stand beside it in `gensp runs`.
+            "seconds_per_shape": round(_sum(rows, "seconds") / max(len(rows), 1), 4),
             **counts,
         }
 

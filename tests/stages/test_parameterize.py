@@ -119,6 +119,8 @@ def test_stage_predicts_writes_its_table_and_resumes(collection, tmp_path):
     assert next(iter(metrics)) == "bad_faces"
     assert metrics["bad_faces"] == metrics["folded_maps"] == metrics["failed"] == 0
     assert metrics["items"] == 2
+    assert metrics["seconds_per_shape"] > 0
+    assert "seconds" not in metrics
     table = (folder / "maps.csv").read_text().splitlines()
     assert len(table) == 3
     assert {"id", "seconds", "rung", "bad_faces_start", "bad_faces"} <= set(table[0].split(","))
