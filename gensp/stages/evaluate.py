@@ -23,6 +23,7 @@ from gensp.stages.summary import Record, summarize, without_nan
 from gensp.tables import summary_csv, summary_markdown
 from gensp.tasks.evaluate import mapped_ids, pairs_path, prediction
 
+FOLDER = "folder"  # what shapes=folder calls any folder
 TRAINED = ("implicit", "correspond", "initialize", "finetune")
 _BASELINES = 2  # beside this variant in a picture
 _HEADLINES = ("error", "sigma_mean")
@@ -58,7 +59,7 @@ class EvaluateStage(ItemStage):
     ) -> None:
         super().__init__(table="shapes", max_failures=max_failures, folder=folder)
         self.collection, self.runs = collection, dict(runs)
-        self.names = {**names, "collection": collection.name}
+        self.names = {**names, "collection": _called(collection, names)}
         self.neighbours = neighbours
         self.pictures = pictures
 
@@ -124,7 +125,7 @@ class EvaluateStage(ItemStage):
             self.folder,
             runs=self.runs,
             splits=self.collection.splits(ids),
-            collection=self.collection.name,
+            collection=self.names["collection"],
             method=self.names["variant"],
             summary=summary,
             generated=self._generated(ids, self.pictures),
@@ -172,6 +173,11 @@ class EvaluateStage(ItemStage):
         """Codes of those that have one."""
         found = {id: prediction(self.runs["parameterize"], id).get("code") for id in ids}
         return {id: code for id, code in found.items() if code is not None}
+
+
+def _called(collection: ShapeCollection, names: Mapping[str, str]) -> str:
+    """The collection in titles; the experiment's name says more than that of any folder."""
+    return names["experiment"] if collection.name == FOLDER else collection.name
 
 
 def _with_errors(rows: list[Record], pairs: list[Record]) -> list[Record]:

@@ -193,6 +193,8 @@ def test_without_ground_truth_c_is_of_the_places_themselves(
     assert found["frame_pairs"] == found["frame_neighbour_pairs"] == 6
     assert found["pairs"] == found["keypoint_pairs"] == 0
     assert not {"c", "error", "geodesic", "keypoint_error"} & found.keys()
+    # "folder" is the name of all of them: the run's is told.
+    assert summary["collection"] == NAMES["experiment"]
     text = (tmp_path / "out" / "summary.md").read_text()
     assert "| c (frame) | c (frame, registered) | c (frame, area) | bad faces % |" in text
     assert "pairs (frame)" in Benchmark((summary,)).markdown()
