@@ -52,7 +52,7 @@ def reliability(
     faces: Int[np.ndarray, "m 3"],
     distance: Float[np.ndarray, " n"],
     *,
-    reach: float = 0.03,
+    reach: float = 0.1,
 ) -> Float[np.ndarray, " n"]:
     """How far a predicted map can be trusted at every vertex, in [0, 1].
 

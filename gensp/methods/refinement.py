@@ -208,7 +208,7 @@ class CertifiedRefinement(NewtonRefinement):
     Attributes
     ----------
     bregman
-        How often that is done.
+        How often that is done: for registered surfaces, not for predictions that may be off.
     untangle_up_to
         Share of folded faces up to which untangling is tried.
     """
@@ -217,7 +217,7 @@ class CertifiedRefinement(NewtonRefinement):
     energy: str = "sigma"
     floor: float = 1.0
     tolerance: float = 3e-4
-    bregman: int = 1
+    bregman: int = 0
     untangle_up_to: float = 0.01
 
     def _pull(
