@@ -13,6 +13,7 @@ from gensp.geometry.sphere import icosphere, tangent_frame, unit
 from gensp.methods.cmcf import CMCF
 from gensp.methods.refinement import (
     HIERARCHICAL,
+    PREDICTION,
     CertifiedRefinement,
     NewtonRefinement,
     NoRefinement,
@@ -159,3 +160,16 @@ def test_a_flow_that_leaves_hairs_is_embedded_anew():
     assert found.diagnostics["converged"]
     assert found.diagnostics["rung"] == HIERARCHICAL
     assert found.distortion().mean < 1.2
+
+
+def test_a_map_that_cannot_be_embedded_anew_is_not_lost(bumpy, monkeypatch):
+    """It has no fold, and says that it did not converge."""
+
+    def refused(*_, **__):
+        raise NotEmbeddable("nothing grows here")
+
+    monkeypatch.setattr("gensp.methods.refinement.embed", refused)
+    found = CertifiedRefinement(max_iterations=1)(bumpy, unit(bumpy.vertices))
+    assert found.certify()
+    assert found.diagnostics["converged"] is False
+    assert found.diagnostics["rung"] == PREDICTION

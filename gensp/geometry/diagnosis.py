@@ -156,7 +156,7 @@ def repair_command(path: Path, found: Diagnosis) -> str:
 
 
 def _fewer(max_faces: int) -> int:
-    """Vertices of a mesh that is as fine as its map is still soon there: a fifth of the limit."""
+    """Vertices of a mesh with a fifth of the faces that are taken: it is mapped in seconds."""
     return max(100, max_faces // 10)
 
 

@@ -255,8 +255,11 @@ class CertifiedRefinement(NewtonRefinement):
         pull: float | Float[np.ndarray, " n"],
     ) -> tuple[Refined, str]:
         # No face is folded, yet some are so nearly collapsed that no step gets anywhere.
-        grown = embed(mesh, target=target, pull=pull)
-        again = self._minimised(mesh, grown, target, pull)
+        try:
+            grown = embed(mesh, target=target, pull=pull)
+            again = self._minimised(mesh, grown, target, pull)
+        except NotEmbeddable:  # what there is has no fold, and its diagnostics say the rest
+            return refined, rung
         return (again, HIERARCHICAL) if again.energy < refined.energy else (refined, rung)
 
     def _minimised(
