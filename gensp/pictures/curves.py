@@ -76,7 +76,9 @@ def _losses(panel: "Axes", history: History) -> None:
         panel.plot(np.array(epochs)[shown], drawn[shown], label=label, **_LINES[kind])
     panel.set_yscale("log")
     panel.set_xlabel("epoch")
-    plain(panel)
+    plain(panel, legend=False)
+    # Lines cross the whole panel: there is no place for a legend in it.
+    panel.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1, 1))
 
 
 _ERROR_LINES = {
