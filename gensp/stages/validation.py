@@ -12,7 +12,9 @@ from lightning.pytorch.callbacks import Callback
 from lightning.pytorch.utilities.seed import isolate_rng
 from torch import Tensor, nn
 
+from gensp.data.clouds import point_cloud
 from gensp.data.shapes import SPHERE, ShapeCollection
+from gensp.geometry.mesh import Mesh, normalize
 from gensp.stages.base import FitStage
 from gensp.tasks.generated import KnownShapes
 from gensp.terminal import say
@@ -27,8 +29,8 @@ class Validation(Callback):
     Parameters
     ----------
     collection
-        Tells the splits. Where no shape that is learnt from belongs to the split val, the first
-        training shapes are measured.
+        Tells the splits. Shapes of the split val are measured, whether they are learnt from
+        (`recipe.augment.learn_from`) or not; where there are none, the first training shapes.
     times
         How often; 0: never.
     shapes
@@ -37,6 +39,7 @@ class Validation(Callback):
 
     def __init__(self, *, collection: ShapeCollection, times: int = 10, shapes: int = 4) -> None:
         self.collection, self.times, self.shapes = collection, times, shapes
+        self._clouds: Tensor | None = None
 
     def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Say so where training shapes stand for missing validation shapes."""
@@ -47,11 +50,8 @@ class Validation(Callback):
     def chosen(self, trainer: Trainer) -> list[str]:
         """Ids of the shapes that are measured."""
         learnt = set(trainer.datamodule.ids)  # type: ignore[attr-defined]
-        known = {
-            split: [id for id in self.collection.ids(split) if id in learnt]
-            for split in ("val", "train")
-        }
-        return (known["val"] or known["train"])[: self.shapes]
+        train = [id for id in self.collection.ids("train") if id in learnt]
+        return (self.collection.ids("val") or train)[: self.shapes]
 
     def on_train_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Measure, if it is time to."""
@@ -74,6 +74,21 @@ class Validation(Callback):
         """The figures by name."""
         raise NotImplementedError
 
+    def codes(self, trainer: Trainer, stage: Any, ids: list[str]) -> Tensor:
+        """Codes of the shapes by the encoder as it is now, from the first cloud of each."""
+        if self._clouds is None:
+            clouds = [self._cloud(trainer, id) for id in (SPHERE, *ids)]
+            self._clouds = torch.stack(clouds)[:, None]
+        codes: Tensor = stage.encode.all([SPHERE, *ids], self._clouds)
+        return codes[1:]
+
+    def _cloud(self, trainer: Trainer, id: str) -> Tensor:
+        data = trainer.datamodule  # type: ignore[attr-defined]
+        if id in data.ids:
+            return data.clouds[data.ids.index(id), 0]
+        cloud = point_cloud(normalize(self.collection.mesh(id)), data.batching.cloud)
+        return torch.from_numpy(cloud)
+
 
 class GeneratorValidation(Validation):
     """σ, bad faces, coverage and c of the surfaces that the generator makes of the shapes.
@@ -94,7 +109,7 @@ class GeneratorValidation(Validation):
         ids = self.chosen(trainer)
         if self._known is None:
             self._known = KnownShapes(self.collection, ids, level=self.level)
-        codes = _codes(trainer, stage, ids)
+        codes = self.codes(trainer, stage, ids)
         p = torch.from_numpy(self._known.ball.vertices.astype(np.float32)).to(codes)[None]
         images = {id: stage.generator(z[None], p)[0] for id, z in zip(ids, codes, strict=True)}
         return self._known.figures(
@@ -121,7 +136,7 @@ class DistanceValidation(Validation):
         ids = self.chosen(trainer)
         if self._samples is None:
             self._samples = self._drawn(trainer, ids)
-        codes = _codes(trainer, stage, ids)
+        codes = self.codes(trainer, stage, ids)
         points, distances = (part.to(codes) for part in self._samples)
         error = (stage.field(codes, points) - distances).abs().mean()
         return {"distance": float(error)}
@@ -132,19 +147,15 @@ class DistanceValidation(Validation):
         sampler = replace(
             data.sampler, near=each, far=each, uniform=each, seed=data.sampler.seed + 1
         )
-        # One by one: a training holds no more of its collection than it draws. Item 0 is S_0.
-        pools = [sampler(data.meshes[data.ids.index(id) - 1], data.bound) for id in ids]
+        # One by one: a training holds no more of its collection than it draws.
+        pools = [sampler(self._mesh(data, id), data.bound) for id in ids]
         points, distances = ([getattr(p, name) for p in pools] for name in ("points", "distances"))
         return torch.from_numpy(np.stack(points)), torch.from_numpy(np.stack(distances))
 
-
-def _codes(trainer: Trainer, stage: Any, ids: list[str]) -> Tensor:
-    """Codes of the shapes by the encoder as it is now, from the first cloud of each."""
-    items = trainer.datamodule  # type: ignore[attr-defined]
-    names = [SPHERE, *ids]
-    rows = [items.ids.index(id) for id in names]
-    codes: Tensor = stage.encode.all(names, items.clouds[rows, :1])
-    return codes[1:]
+    def _mesh(self, data: Any, id: str) -> Mesh:
+        if id in data.ids:
+            return data.meshes[data.ids.index(id) - 1]  # item 0 is S_0
+        return normalize(self.collection.mesh(id))
 
 
 @contextmanager

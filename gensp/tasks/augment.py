@@ -12,14 +12,14 @@ from jaxtyping import Float
 from gensp.compute import Row
 from gensp.data.items import item_path
 from gensp.data.shapes import ShapeCollection
-from gensp.errors import BadMesh
+from gensp.errors import BadMesh, MissingData, Unsupported
 from gensp.files import content_hash, save_npz
 from gensp.geometry.flow import Flow, StepSchedule, cmcf, flow_score
 from gensp.geometry.mesh import Mesh, normalize, simplify
 from gensp.geometry.remesh import sound_mesh
 from gensp.layout import item_file
 
-SPLITS = ("train", "val")
+LEARNABLE = ("train", "val")  # splits; test is never learnt from
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,30 @@ def augment_task(
 
 
 def augment_items(
-    *, inputs: Mapping[str, Any], folder: Path, collection: ShapeCollection
+    *,
+    inputs: Mapping[str, Any],
+    folder: Path,
+    collection: ShapeCollection,
+    learn_from: Sequence[str] = LEARNABLE,
 ) -> list[str]:
-    """Ids of the shapes that are learnt from: never those held out for testing."""
-    return collection.ids(*SPLITS)
+    """Ids of the shapes that are learnt from: never those held out for testing.
+
+    Raises
+    ------
+    Unsupported
+        `learn_from` names other splits than train and val, or none.
+    MissingData
+        They hold no shape.
+    """
+    if not learn_from or not set(learn_from) <= set(LEARNABLE):
+        raise Unsupported(
+            f"recipe.augment.learn_from=[{','.join(map(str, learn_from))}]: one or both of "
+            f"{', '.join(LEARNABLE)} are required; the split test is never learnt from"
+        )
+    ids = collection.ids(*learn_from)
+    if not ids:
+        raise MissingData(
+            f"{collection.name}: no shape belongs to {' or '.join(learn_from)}; at least one is "
+            "required to learn from; set recipe.augment.learn_from or the splits of the manifest"
+        )
+    return ids

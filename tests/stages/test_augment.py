@@ -9,7 +9,13 @@ from gensp.compute import run_items
 from gensp.data.items import Item, item_mesh, training_items
 from gensp.data.modules import ItemsModule
 from gensp.data.shapes import ShapeCollection
-from gensp.errors import DamagedFile, DegenerateMesh, MissingStage
+from gensp.errors import (
+    DamagedFile,
+    DegenerateMesh,
+    MissingData,
+    MissingStage,
+    Unsupported,
+)
 from gensp.files import load_npz, write_json
 from gensp.geometry.distance import hausdorff
 from gensp.geometry.flow import StepSchedule, cmcf, flow_score
@@ -61,6 +67,25 @@ def run(task: AugmentTask, **settings: float) -> AugmentStage:
 def test_test_shapes_are_never_flowed(collection, tmp_path):
     items = augment_items(inputs={}, folder=tmp_path, collection=collection)
     assert items == ["bumpy", "ellipsoid", "limbed"]
+
+
+def test_validation_shapes_can_stay_unseen(collection, tmp_path):
+    known = {"inputs": {}, "folder": tmp_path, "collection": collection}
+    train, val = (augment_items(**known, learn_from=[split]) for split in ("train", "val"))
+    assert sorted(train + val) == sorted(augment_items(**known))
+    assert train == collection.ids("train")
+    with pytest.raises(Unsupported, match="the split test is never learnt from"):
+        augment_items(**known, learn_from=["train", "test"])
+    with pytest.raises(Unsupported, match="one or both of train, val are required"):
+        augment_items(**known, learn_from=[])
+
+
+def test_splits_without_a_shape_are_refused(tmp_path):
+    save_mesh(icosphere(2), tmp_path / "ball.ply")
+    (tmp_path / "manifest.csv").write_text("file,split\nball.ply,test\n")
+    collection = ShapeCollection.from_folder(tmp_path)
+    with pytest.raises(MissingData, match="no shape belongs to train or val"):
+        augment_items(inputs={}, folder=tmp_path, collection=collection)
 
 
 def test_items_are_sound_meshes_between_input_and_sphere(task):

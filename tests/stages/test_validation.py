@@ -11,10 +11,11 @@ from lightning.pytorch.loggers import CSVLogger
 from test_generator import correspondences, finetune_stage, initialize_stage
 from test_implicit import implicit_stage, sdf_module
 
+from gensp.data.clouds import point_cloud
 from gensp.data.ground_truth import GroundTruth, save_ground_truth
 from gensp.data.shapes import ShapeCollection
 from gensp.files import read_rows
-from gensp.geometry.mesh import Mesh, save_mesh
+from gensp.geometry.mesh import Mesh, normalize, save_mesh
 from gensp.geometry.points import SurfacePoints
 from gensp.geometry.sphere import icosphere
 from gensp.pictures.curves import loss_curves, read_history
@@ -117,6 +118,36 @@ def test_the_field_is_measured_without_reading_other_shapes(tmp_path: Path) -> N
     data.meshes = Watched(data.meshes)
     watch._drawn(SimpleNamespace(datamodule=data), data.ids[2:3])
     assert asked == [1]
+
+
+@pytest.mark.parametrize("make", [GeneratorValidation, DistanceValidation])
+def test_shapes_that_are_not_learnt_from_are_measured_from_the_collection(
+    make: type[Validation], tmp_path: Path
+) -> None:
+    collection = shapes(tmp_path / "shapes", "train", "train", "val")
+    watch = make(collection=collection, times=1)
+    stage, data = initialize_stage(tmp_path), correspondences()
+    if make is DistanceValidation:
+        stage, data = implicit_stage(tmp_path), sdf_module(tmp_path)
+    assert "even" not in data.ids
+    seen = trained(stage, data, 1, watch)
+    assert watch.chosen(seen.trainer) == ["even"]
+    figures = [value for name, value in seen.history[-1].items() if name.startswith("val/")]
+    assert len(figures) >= 1
+    assert np.isfinite(figures).all()
+
+
+def test_a_code_of_validation_is_that_of_the_cloud_that_maps_are_made_from(tmp_path: Path) -> None:
+    collection = shapes(tmp_path / "shapes", "train", "train", "val")
+    stage, data = initialize_stage(tmp_path), correspondences()
+    watch = GeneratorValidation(collection=collection, times=1)
+    seen = trained(stage, data, 1, watch)
+    (code,) = watch.codes(seen.trainer, seen, ["even"])
+    cloud = point_cloud(normalize(collection.mesh("even")), data.batching.cloud)
+    ball = data.clouds[:1, 0]
+    clouds = torch.cat([ball, torch.from_numpy(cloud)[None]])
+    origin, found = seen.encoder(clouds) + seen.encoder.origin
+    assert torch.allclose(code, found - origin, atol=1e-5)
 
 
 def test_training_shapes_stand_in_and_it_is_said(
