@@ -109,6 +109,9 @@ PARTS = (
             Column("sigma_mean", "mean σ", "isometric distortion, mean over triangles, shapes"),
             Column("sigma_max_mean", "max σ", "largest of any triangle, mean over shapes"),
             Column("sigma_max", "worst σ", "largest of any triangle of any shape"),
+            Column(
+                "sigma_area", "mean σ (area)", "area-weighted mean over triangles, over shapes"
+            ),
             Column("conformal_mean", "mean σ^con", "conformal distortion, as mean σ"),
             Column("conformal_max", "worst σ^con", "conformal distortion, as worst σ"),
             Column("coverage_mean", "coverage", "shape to icosphere remesh over √area, mean", 4),
@@ -121,6 +124,8 @@ PARTS = (
             Column("c", "c", "consistency of the paper, over nearest of the pairs, no rotation"),
             Column("c_registered", "c (registered)", "after a rotation found without truth"),
             Column("c_rotated", "c (rotated)", "rotated as error (rotated)"),
+            Column("c_area", "c (area)", "c at points area-uniform on the shape, no rotation"),
+            Column("c_area_rotated", "c (area, rotated)", "rotated as error (rotated)"),
             Column("c_frame", "c (frame)", "without truth: c of each point's own place"),
             Column("c_frame_registered", "c (frame, registered)", "as c (registered)"),
             Column("c_frame_area", "c (frame, area)", "at points area-uniform on the shape"),

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.optimize import linear_sum_assignment
 
 from gensp.geometry.alignment import best_rotation
@@ -156,5 +156,13 @@ class MatchedMaps:
 
     def few(self, count: int) -> "MatchedMaps":
         """The same at about so many of the points, evenly taken."""
-        chosen = np.unique(np.linspace(0, len(self.at_i) - 1, count).astype(int))
+        return self._at(np.unique(np.linspace(0, len(self.at_i) - 1, count).astype(int)))
+
+    def drawn(self, count: int, seed: int) -> "MatchedMaps":
+        """The same at so many of the points, or at all of fewer, drawn at random."""
+        known = len(self.at_i)
+        random = np.random.default_rng(seed)
+        return self._at(np.sort(random.choice(known, min(count, known), replace=False)))
+
+    def _at(self, chosen: Int[np.ndarray, " k"]) -> "MatchedMaps":
         return MatchedMaps(self.map_i, self.map_j, self.at_i.take(chosen), self.at_j.take(chosen))

@@ -1,5 +1,6 @@
 """Methods side by side: distortion against error, and how large the distortion gets."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,13 @@ if TYPE_CHECKING:
 _LARGEST = 1e3
 _MANY = 10  # times the smallest: from there on an axis is logarithmic
 _MARKERS = "osD^vP*X<>"
+# A method looks alike in all figures, whatever stands beside it; learnt ones take what is left.
+_PLACES = {
+    name: place
+    for place, name in enumerate(
+        ("dirichlet", "stretch", "ahsp", "smat", "arap", "cmcf", "cmcf_raw", "vc25")
+    )
+}
 
 
 @dataclass(frozen=True)
@@ -63,55 +71,73 @@ def methods_figure(methods: Sequence[MethodFigures]) -> "Figure":
 
 
 _TURNED = {
-    "geodesic_raw": "no rotation",
-    "geodesic_rotated": "best rotation of each pair",
+    "raw": "Euclidean, no rotation",
+    "rotated": "Euclidean, best rotation",
+    "geodesic_raw": "geodesic, no rotation",
+    "geodesic_rotated": "geodesic, best rotation",
 }
 
 
 def curves_figure(methods: Sequence[MethodFigures], splits: Sequence[str]) -> "Figure":
-    """Fraction of points whose geodesic error is below x: a row for every split that has any."""
+    """Fraction of points whose error is below x: a row for every split that has any."""
     shown = [s for s in splits if any(s in curve for m in methods for curve in m.curves)]
-    drawing = figure(10.4, 0.4 + 2.9 * len(shown))
-    grid = drawing.subplots(len(shown), 2, squeeze=False, sharex=True, sharey=True)
+    drawing = figure(15.6, 0.4 + 2.9 * len(shown))
+    grid = drawing.subplots(len(shown), len(_TURNED), squeeze=False, sharex=True, sharey=True)
     for panels, split in zip(grid, shown, strict=True):
         for panel, (kind, words) in zip(panels, _TURNED.items(), strict=True):
             _fractions(panel, methods, split, kind)
             panel.set_title(f"{split} shapes, {words}", loc="left", fontsize=10)
         panels[0].set_ylabel("fraction of points below")
     for panel in grid[-1]:
-        panel.set_xlabel("geodesic error / √area")
+        panel.set_xlabel("error / √area")
     drawing.legend(handles=_handles(methods), loc="outside right center", frameon=False)
     return drawing
 
 
 def _fractions(panel: "Axes", methods: Sequence[MethodFigures], split: str, kind: str) -> None:
-    for place, method in enumerate(methods):
+    styles = _styles(methods)
+    for method in methods:
         lines = [c[split][kind] for c in method.curves if kind in c.get(split, {})]
         if lines:
-            thresholds, style = method.curves[0]["thresholds"], {**_style(place), "marker": ""}
+            thresholds, style = (
+                method.curves[0]["thresholds"],
+                {**styles[method.label], "marker": ""},
+            )
             panel.plot(thresholds, np.mean(lines, axis=0), label=method.label, **style)
     panel.set(ylim=(0, 1.02))
     panel.set_xlim(left=0)
     plain(panel, legend=False)
 
 
-def _style(place: int) -> dict[str, str]:
-    return {"color": f"C{place % 10}", "marker": _MARKERS[place % len(_MARKERS)]}
+def _styles(methods: Sequence[MethodFigures]) -> dict[str, dict[str, str]]:
+    """Colour and marker of every label."""
+    free = itertools.count(len(_PLACES))
+    places: dict[str, int] = {}
+    for method in methods:
+        own = _PLACES.get(method.label.split("+")[0])
+        taken = own is None or own in places.values()
+        places[method.label] = next(free) if taken else own
+    return {
+        label: {"color": f"C{place % 10}", "marker": _MARKERS[place % len(_MARKERS)]}
+        for label, place in places.items()
+    }
 
 
 def _handles(methods: Sequence[MethodFigures]) -> list["Line2D"]:
     from matplotlib.lines import Line2D
 
-    labels = [m.label if m.bounded else f"{m.label} (mean σ = ∞)" for m in methods]
-    return [Line2D([], [], label=label, **_style(place)) for place, label in enumerate(labels)]
+    styles = _styles(methods)
+    labels = {m.label: m.label if m.bounded else f"{m.label} (mean σ = ∞)" for m in methods}
+    return [Line2D([], [], label=told, **styles[label]) for label, told in labels.items()]
 
 
 def _scatter(panel: "Axes", methods: Sequence[MethodFigures]) -> None:
     """A mark at the error without a rotation, and a line to that with the best one."""
-    for place, method in enumerate(methods):
+    styles = _styles(methods)
+    for method in methods:
         if method.error is None or not method.bounded:
             continue
-        style = _style(place)
+        style = styles[method.label]
         if method.rotated is not None:
             ends, height = [method.error, method.rotated], [method.sigma_mean] * 2
             panel.plot(ends, height, **{**style, "marker": "|"}, markersize=8, linewidth=1)
@@ -131,10 +157,11 @@ def _scatter(panel: "Axes", methods: Sequence[MethodFigures]) -> None:
 
 
 def _curves(panel: "Axes", methods: Sequence[MethodFigures]) -> None:
-    for place, method in enumerate(methods):
+    styles = _styles(methods)
+    for method in methods:
         largest = np.sort(np.asarray(method.sigma_max, dtype=float))
         share = np.arange(1, len(largest) + 1) / (len(largest) + method.failures)
-        style = {**_style(place), "marker": ""}
+        style = {**styles[method.label], "marker": ""}
         panel.step(largest, share, where="post", label=method.label, **style)
     ends = [value for m in methods for value in m.sigma_max if value <= _LARGEST]
     panel.set_xscale("log")

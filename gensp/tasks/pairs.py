@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from gensp.data.ground_truth import GroundTruth, common_points
+from gensp.files import content_hash
 from gensp.geometry.consistency import (
     GeneratedShape,
     HausdorffIndex,
@@ -26,7 +27,7 @@ from gensp.geometry.spherical_map import SphericalMap
 
 # The errors of a pair are kept at these quantiles, for the curve "fraction below x".
 QUANTILES = (np.arange(64) + 0.5) / 64
-GEODESICS = 32  # points of a pair, each way, whose error is measured along the surface, too
+GEODESICS = 512  # points of a pair, each way, whose error is measured along the surface, too
 IN_FRAME = 2048  # points of a shape that are carried to another one without ground truth, at most
 COINCIDE = 1e-9  # shapes at area 4π that are closer are one, but for rounding
 Record = dict[str, Any]
@@ -161,7 +162,7 @@ def _dense(a: EvaluatedMap, b: EvaluatedMap, rows: np.ndarray, others: np.ndarra
     hausdorff = a.hausdorff.distance(b.hausdorff)
     record = {"kind": "dense", "points": len(rows), **record, "hausdorff": hausdorff}
     scale = np.sqrt(a.map.mesh.area) / hausdorff if hausdorff > 0 else np.nan
-    few = matched.few(GEODESICS)
+    drawn = matched.drawn(GEODESICS, seed=int(content_hash(a.map.name, b.map.name), 16))
     for suffix, (_, (there, back)) in turns.items():
         for name in ("c", "c_area"):
             ahead = _weighted(there, a.weights[name][rows])
@@ -169,7 +170,7 @@ def _dense(a: EvaluatedMap, b: EvaluatedMap, rows: np.ndarray, others: np.ndarra
             record[name + suffix] = float(scale * (ahead + behind) / 2)
         record["quantiles" + suffix] = _quantiles((there, back))
     for suffix in ("", "_rotated"):
-        along = few.geodesic_errors(turns[suffix][0])
+        along = drawn.geodesic_errors(turns[suffix][0])
         record["geodesic" + suffix] = _mean(along)
         record["quantiles_geodesic" + suffix] = _quantiles(along)
     return record
