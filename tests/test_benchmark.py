@@ -161,15 +161,38 @@ def test_a_curve_of_a_method_that_fails_ends_below_one() -> None:
 
 
 def test_curves_are_drawn_for_every_split_and_turn() -> None:
-    lines = {"geodesic_raw": [0, 0.5], "geodesic_rotated": [0, 0.75]}
-    other = {"geodesic_raw": [0, 0.7], "geodesic_rotated": [0, 0.85]}
+    lines = {"raw": [0, 0.5], "geodesic_rotated": [0, 0.75]}
+    other = {"raw": [0, 0.7], "geodesic_rotated": [0, 0.85]}
     seeds = [{"thresholds": [0, 0.1], "test": found, "all": found} for found in (lines, other)]
     method = MethodFigures("full", 1.2, 0.01, [3.0], curves=seeds)
     drawn = curves_figure([method], ("test", "train", "all")).axes
     titles = [panel.get_title(loc="left").split(",")[0] for panel in drawn]
-    assert titles == ["test shapes", "test shapes", "all shapes", "all shapes"]
+    assert titles == 4 * ["test shapes"] + 4 * ["all shapes"]
     np.testing.assert_allclose(drawn[0].lines[0].get_ydata(), [0, 0.6])
-    np.testing.assert_allclose(drawn[1].lines[0].get_ydata(), [0, 0.8])
+    np.testing.assert_allclose(drawn[3].lines[0].get_ydata(), [0, 0.8])
+    assert not drawn[1].lines
+
+
+def test_a_method_keeps_its_colour_whatever_stands_beside_it() -> None:
+    names = [
+        "full+certify",
+        "full+register+certify",
+        "ahsp",
+        "arap+dirichlet",
+        "dirichlet",
+        "vc25",
+    ]
+    many = [MethodFigures(name, 1.2, 0.01, [3.0]) for name in names]
+    colours = {m.label: line.get_color() for m, line in _lines(many)}
+    assert len(set(colours.values())) == len(many)
+    for alone in many[2:]:
+        ((_, line),) = _lines([alone])
+        assert line.get_color() == colours[alone.label]
+
+
+def _lines(methods: list[MethodFigures]) -> list[tuple[MethodFigures, object]]:
+    drawn = methods_figure(methods).axes[-1].lines
+    return list(zip(methods, drawn, strict=True))
 
 
 def test_partners_are_mutual_and_equally_many() -> None:

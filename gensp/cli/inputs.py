@@ -99,11 +99,7 @@ def read_map(path: Path) -> SphericalMap:
         raise UnreadableMesh(
             f"{path}: does not exist; a map is required; write it with gensp parameterize"
         )
-    arrays_of = path.with_suffix(".npz")
-    if path.suffix.lower() == ".ply" and arrays_of.is_file() and is_earlier(path):
-        raise UnreadableMesh(
-            f"{path}: is the PLY of a map; the npz beside it is required; name {arrays_of}"
-        )
+    _require_no_twin(path)
     if path.suffix.lower() in FORMATS:
         raise UnreadableMesh(
             f"{path}: is a mesh; its map, an npz, is required; type: "
@@ -120,6 +116,15 @@ def read_map(path: Path) -> SphericalMap:
     if fault:
         raise UnreadableMesh(f"{path}: {fault}; write it with gensp parameterize")
     return map_from(arrays, path.stem, kept=arrays)
+
+
+def _require_no_twin(path: Path) -> None:
+    """Refuse the PLY of a map with its npz beside: read as a mesh, it would be mapped anew."""
+    arrays_of = path.with_suffix(".npz")
+    if path.suffix.lower() == ".ply" and arrays_of.is_file() and is_earlier(path):
+        raise UnreadableMesh(
+            f"{path}: is the PLY of a map; the npz beside it is required; name {arrays_of}"
+        )
 
 
 def chosen_method(
@@ -149,9 +154,16 @@ def chosen_method(
 
 
 def map_of(path: Path, method: SphericalParameterization | None) -> SphericalMap:
-    """A map as it is read, or that of a mesh by a method."""
+    """A map as it is read, or that of a mesh by a method.
+
+    Raises
+    ------
+    BadMesh
+        Neither, or the PLY of a map whose npz is what has the sphere.
+    """
     if is_map(path):
         return read_map(path)
+    _require_no_twin(path)
     assert method is not None
     mesh = sound_mesh(path)
     compile_announced()

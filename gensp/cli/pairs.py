@@ -60,10 +60,22 @@ def pair_of(
                 "make it again with gensp parameterize" if is_map(path) else "leave out --method"
             )
             raise NotGenusZero(f"{path}: {found}; a bijective map is required; {remedy}")
+    _require_one_side({a: first, b: second})
     wanted = meshes and model is None if align is None else align
     apart = _apart({a: first, b: second}) if align is None and not wanted else ()
     rotation = aligning_rotation(first, second) if wanted else np.eye(3)
     return Pair(first, second, rotation, apart)
+
+
+def _require_one_side(maps: dict[Path, SphericalMap]) -> None:
+    """Refuse a mirrored map beside one that is not: no rotation brings them together."""
+    sides = {path: map.certify().orientation for path, map in maps.items()}
+    mirrored = [path for path, side in sides.items() if side < 0]
+    if 0 < len(mirrored) < len(sides):
+        raise NotGenusZero(
+            f"{mirrored[0]}: mirrors its surface, and the other map does not; maps of one "
+            "orientation are required; make it again with gensp parameterize"
+        )
 
 
 def _apart(maps: dict[Path, SphericalMap]) -> tuple[Path, ...]:

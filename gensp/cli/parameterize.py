@@ -54,7 +54,7 @@ def parameterize(
     paths = _write_map(map, out)
     if map.certify():
         paths += _write_derived(map, out, texture, icosphere, geometry_image)
-    two_columns(map.name, [*_figures(map, seconds), written(paths)])
+    two_columns(map.name, [*_figures(map, seconds, found.name), written(paths)])
     _require_bijective(map)
 
 
@@ -78,12 +78,12 @@ def _require_bijective(map: "SphericalMap") -> None:
     require_bijective(map.mesh, map.sphere, remedy=f"use --method {DEFAULT}")
 
 
-def _figures(map: "SphericalMap", seconds: float) -> list[tuple[str, str]]:
+def _figures(map: "SphericalMap", seconds: float, method: str) -> list[tuple[str, str]]:
     found, measured = map.certify(), map.distortion()
     return [
         ("vertices, faces", f"{len(map.sphere)}, {len(map.faces)}"),
         ("certificate", str(found)),
-        *_rung(map),
+        *_rung(map, method),
         ("isometric σ", f"mean {measured.mean:.3f}, max {measured.max:.3f}"),
         ("isometric σ by area", f"mean {measured.area_weighted_mean:.3f}"),
         ("conformal σ", f"mean {measured.conformal_mean:.3f}, max {measured.conformal_max:.3f}"),
@@ -92,7 +92,7 @@ def _figures(map: "SphericalMap", seconds: float) -> list[tuple[str, str]]:
     ]
 
 
-def _rung(map: "SphericalMap") -> list[tuple[str, str]]:
+def _rung(map: "SphericalMap", method: str) -> list[tuple[str, str]]:
     """From which rung of the ladder the map was refined, where its method has one."""
     from gensp.methods.refinement import HIERARCHICAL, RUNGS
 
@@ -100,8 +100,17 @@ def _rung(map: "SphericalMap") -> list[tuple[str, str]]:
     led = ", led by the prediction" if "predicted" in map.arrays and rung == HIERARCHICAL else ""
     found = [("rung", f"{rung}: {RUNGS[rung]}{led}")] if rung in RUNGS else []
     if map.diagnostics.get("converged") is False:
-        found.append(("refinement", "stopped before it converged: try --method dirichlet"))
+        found.append(("refinement", f"stopped before it converged: {_way_on(method)}"))
     return found
+
+
+def _way_on(method: str) -> str:
+    """What helps a map that stopped early: our method, or triangles that can be mapped."""
+    from gensp.methods.table import DEFAULT
+
+    if method != DEFAULT:
+        return f"try --method {DEFAULT}"
+    return "triangles are too thin; try gensp repair --remesh"
 
 
 def _familiarity(map: "SphericalMap") -> list[tuple[str, str]]:

@@ -16,6 +16,7 @@ from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.multifrontal import MultifrontalCholesky
 from gensp.geometry.newton import Refined, minimise_map, refine_map
 from gensp.geometry.operators import cotangent_laplacian
+from gensp.geometry.predicates import bad_faces
 from gensp.geometry.smat_energy import SmatEnergy
 from gensp.geometry.sphere import icosphere
 from gensp.geometry.spherical_energy import triangle_weights
@@ -140,7 +141,7 @@ class Hierarchical:
         u = embed(shape, schedule=self.schedule, polish=self._coarse if self.coarse else None)
         embedded = time.perf_counter()
         u, counted = self._refined(shape, u)
-        u = u @ normal_rotation(u, shape).T
+        u = _turned(u, shape)
         ended = time.perf_counter()
         numbers = {
             "rung": HIERARCHICAL,
@@ -168,6 +169,12 @@ class Hierarchical:
     ) -> Float[np.ndarray, "n 3"]:
         assert self.coarse is not None
         return self.coarse(mesh, u).sphere
+
+
+def _turned(u: Float[np.ndarray, "n 3"], mesh: Mesh) -> Float[np.ndarray, "n 3"]:
+    """Turned to the surface's normals, unless rounding would fold a face that is sound now."""
+    turned = u @ normal_rotation(u, mesh).T
+    return u if bad_faces(turned, mesh.faces).any() else turned
 
 
 def dirichlet(

@@ -62,7 +62,8 @@ class NewtonRefinement:
         (a large floor), the map would follow the density of the mesh and lose consistency.
     max_iterations, tolerance
         Of Newton's method; where it does not converge by another energy than the symmetric
-        Dirichlet energy, it begins again by way of that (`newton.refine_map`).
+        Dirichlet energy, it begins again by way of that (`newton.refine_map`). A start from which
+        it does not converge at all is left for the hierarchical embedding.
     crowding
         In a start without folds, faces that hold less than this part of their share of the sphere
         are spread out first.
@@ -146,8 +147,14 @@ class NewtonRefinement:
         target: Float[np.ndarray, "n 3"] | None,
         pull: float | Float[np.ndarray, " n"],
     ) -> tuple[Refined, str]:
-        """What is made of a map that did not converge: it stays, and its diagnostics say so."""
-        return refined, rung
+        """The last rung for a map that did not converge, if it ends lower there."""
+        # No face is folded, yet some are so nearly collapsed that no step gets anywhere.
+        try:
+            grown = embed(mesh, target=target, pull=pull)
+            again = self._minimised(mesh, grown, target, pull)
+        except NotEmbeddable:  # what there is has no fold, and its diagnostics say the rest
+            return refined, rung
+        return (again, HIERARCHICAL) if again.energy < refined.energy else (refined, rung)
 
     def _untangled(self, mesh: Mesh, u: Float[np.ndarray, "n 3"], *, folded: bool) -> Untangled:
         areas = None if folded else mesh.face_areas
@@ -163,8 +170,8 @@ class NewtonRefinement:
             f"{mesh.name}: {int(bad.sum())} of {len(mesh.faces)} faces stay folded after "
             f"{untangled.rounds} rounds of untangling (degree of the start: "
             f"{map_degree(u, mesh.faces)}{first}); a map without folds, of degree 1, is required; "
-            "try fit=register or a longer training for a closer start, or keep the folded map "
-            "with refine=none"
+            "take refine=certify, which embeds such a mesh anew, fit=register or a longer "
+            "training for a closer start, or keep the folded map with refine=none"
         )
 
     def _minimised(
@@ -245,22 +252,6 @@ class CertifiedRefinement(NewtonRefinement):
                 pass  # the next rung needs no start
         grown = embed(normalize(mesh), target=target, pull=pull)
         return Untangled(grown, 0, True), HIERARCHICAL
-
-    def _otherwise(
-        self,
-        mesh: Mesh,
-        refined: Refined,
-        rung: str,
-        target: Float[np.ndarray, "n 3"] | None,
-        pull: float | Float[np.ndarray, " n"],
-    ) -> tuple[Refined, str]:
-        # No face is folded, yet some are so nearly collapsed that no step gets anywhere.
-        try:
-            grown = embed(mesh, target=target, pull=pull)
-            again = self._minimised(mesh, grown, target, pull)
-        except NotEmbeddable:  # what there is has no fold, and its diagnostics say the rest
-            return refined, rung
-        return (again, HIERARCHICAL) if again.energy < refined.energy else (refined, rung)
 
     def _minimised(
         self,

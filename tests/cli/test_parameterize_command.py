@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from conftest import Refused, Run
 from PIL import Image
 
 import gensp as package
+from gensp.cli.parameterize import _rung
 from gensp.errors import BadMesh, NotEmbeddable, Unsupported
 from gensp.export.textured import write_textured
 from gensp.geometry.certificate import certify, place_of
@@ -276,3 +278,16 @@ def test_a_model_tells_what_is_far_from_what_it_knows(
     code, said, _ = gensp("parameterize", mesh, "--model", "heads", "--out", tmp_path)
     assert code == 0
     assert meaning in said
+
+
+@pytest.mark.parametrize(
+    ("method", "told"),
+    [("stretch", "try --method dirichlet"), ("dirichlet", "triangles are too thin")],
+)
+def test_what_stopped_early_is_told_what_helps(
+    bumpy_map: SphericalMap, method: str, told: str
+) -> None:
+    stopped = replace(bumpy_map, diagnostics={"rung": "hierarchical", "converged": False})
+    (_, said) = dict(_rung(stopped, method)).popitem()
+    assert said.startswith("stopped before it converged")
+    assert told in said

@@ -2,6 +2,7 @@
 
 import csv
 import re
+from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from PIL import Image
 
 from gensp.export.textured import write_textured
 from gensp.geometry.mesh import load_mesh, require_genus_zero, save_mesh
-from gensp.geometry.spherical_map import SphericalMap, load_map
+from gensp.geometry.spherical_map import SphericalMap, load_map, save_map
 from gensp.pictures.texture import equirectangular_picture
 
 
@@ -58,6 +59,23 @@ def test_match_of_a_mesh_aligns(gensp: Run, bumpy_file: Path, map_file: Path) ->
     with np.load(out / "bumpy1_to_bumpy2.npz") as found:
         error = np.linalg.norm(found["positions"] - load_map(map_file).surface, axis=1)
     assert np.median(error) < 0.1
+
+
+@pytest.mark.parametrize("command", ["match", "morph"])
+def test_the_ply_of_a_map_is_not_mapped_anew(
+    refused: Refused, map_file: Path, other_file: Path, tmp_path: Path, command: str
+) -> None:
+    said = refused(command, map_file.with_suffix(".ply"), other_file, "--out", tmp_path)
+    assert f"is the PLY of a map; the npz beside it is required; name {map_file}" in said
+
+
+def test_a_mirrored_map_has_no_counterpart(
+    refused: Refused, bumpy_map: SphericalMap, other_file: Path, tmp_path: Path
+) -> None:
+    mirrored = replace(bumpy_map, sphere=bumpy_map.sphere * [1, 1, -1], name="mirrored")
+    save_map(mirrored, tmp_path)
+    said = refused("match", other_file, tmp_path / "mirrored.npz", "--out", tmp_path)
+    assert "mirrored.npz: mirrors its surface, and the other map does not" in said
 
 
 def test_maps_that_may_not_share_a_sphere_are_told(
