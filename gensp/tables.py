@@ -168,7 +168,7 @@ def _terminal(title: str, header: Sequence[str], rows: Iterable[Sequence[str]]) 
 
     table = Table(title=title, title_justify="left", header_style="bold")
     for index, heading in enumerate(header):
-        table.add_column(heading, justify="left" if index == 0 else "right")
+        table.add_column(heading, justify="left" if index == 0 else "right", overflow="fold")
     for row in rows:
         table.add_row(*row)
     return table
