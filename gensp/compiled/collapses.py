@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from gensp.compiled.halfedges import collapse, following, ring, turned
+from gensp.compiled.hubs import HUB, account, find_hubs, joined
 
 BASE = 4  # vertices of the tetrahedron
 _SHORT = 1e-3  # where the surface is flat, short edges go first
@@ -66,40 +67,35 @@ def _cost(
 
 
 @njit(cache=True)
-def _linked(around: np.ndarray, size: int, h: int, origin: np.ndarray, twin: np.ndarray) -> int:
-    """Number of neighbours of the tip of h where the link condition holds, else 0."""
-    start = twin[h]
-    at, common, valence = start, 0, 0
+def _linked(around, size, origin, twin, leaving, hub, between):
+    """Whether v and around[0] have two neighbours in common, the ring of v being around[:size]."""
+    w = around[0]
+    if hub[w]:
+        for k in range(2, size - 1):
+            if joined(around[k], w, origin, twin, leaving, hub, between):
+                return False
+        return True
+    at, common = leaving[w], 0
     while True:
         tip = origin[following(at)]
         for k in range(1, size):
             common += tip == around[k]
-        valence += 1
         at = turned(at, twin)
-        if at == start:
-            return valence if common == 2 else 0
+        if at == leaving[w]:
+            return common == 2
 
 
 @njit(cache=True)
-def _best(
-    v: int,
-    x: np.ndarray,
-    q: np.ndarray,
-    origin: np.ndarray,
-    twin: np.ndarray,
-    leaving: np.ndarray,
-    around: np.ndarray,
-    independent: bool,
-) -> tuple[float, int]:
+def _best(v, shape, between, around, independent):
     """Cheapest allowed collapse of v: its cost and half-edge."""
+    x, q, origin, twin, leaving, valence, hub = shape
     least, chosen = np.inf, -1
     start = leaving[v]
     at = start
     while True:
         size = ring(at, origin, twin, around)
-        valence = _linked(around, size, at, origin, twin)
-        if valence:
-            cost = _cost(around, size, v, valence, x, q, independent)
+        if _linked(around, size, origin, twin, leaving, hub, between):
+            cost = _cost(around, size, v, valence[around[0]], x, q, independent)
             if cost < least:
                 least, chosen = cost, at
         at = turned(at, twin)
@@ -108,21 +104,16 @@ def _best(
 
 
 @njit(cache=True)
-def _candidates(
-    x: np.ndarray,
-    q: np.ndarray,
-    origin: np.ndarray,
-    twin: np.ndarray,
-    leaving: np.ndarray,
-    around: np.ndarray,
-    version: np.ndarray,
-    independent: bool,
-) -> list[tuple[float, int, int, int]]:
-    """Heap of the best collapse of every vertex that is left; an infinite cost is its bottom."""
+def _candidates(shape, between, around, version, most, independent):
+    """Heap of the best collapse of every vertex that is left and has `most` neighbours at most.
+
+    An infinite cost is its bottom.
+    """
+    x, _, _, _, _, valence, _ = shape
     heap = [(np.inf, 0, 0, 0)]
     for v in range(len(x)):
-        if version[v] >= 0:
-            cost, h = _best(v, x, q, origin, twin, leaving, around, independent)
+        if version[v] >= 0 and valence[v] <= most:
+            cost, h = _best(v, shape, between, around, independent)
             if h >= 0:
                 heap.append((cost, v, h, version[v]))
     heapq.heapify(heap)
@@ -130,12 +121,25 @@ def _candidates(
 
 
 @njit(cache=True)
-def _renew(v, heap, x, q, origin, twin, leaving, around, version, independent):
-    """Replace what the heap says of v."""
+def _renew(v, heap, shape, between, around, version, independent):
+    """Replace what the heap says of v; a hub waits until it has few neighbours."""
     version[v] += 1
-    cost, h = _best(v, x, q, origin, twin, leaving, around, independent)
+    if shape[5][v] > HUB:
+        return
+    cost, h = _best(v, shape, between, around, independent)
     if h >= 0:
         heapq.heappush(heap, (cost, v, h, version[v]))
+
+
+@njit(cache=True)
+def _collapsed(h, around, size, shape, between):
+    """Collapse h, whose origin has the ring around[:size]."""
+    _, q, origin, twin, leaving, valence, hub = shape
+    v = origin[h]
+    collapse(h, origin, twin, leaving)
+    account(around, size, origin, twin, leaving, valence, hub, between)
+    for k in range(10):
+        q[around[0], k] += q[v, k]
 
 
 @njit(cache=True)
@@ -148,38 +152,41 @@ def collapse_all(
     `q` (n, 10) are the vertices' quadrics; those of collapsed ones are added on. `independent`:
     the neighbours of a collapsed vertex stay until no other collapse is left, which ends a set.
     """
-    n = len(x)
+    n, most = len(x), HUB
     around, other = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
-    version = np.zeros(n, dtype=np.int64)
+    version, valence = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
     order = np.empty(max(n - BASE, 0), dtype=np.int64)
     sets = np.zeros(len(order), dtype=np.int64)
-    heap = _candidates(x, q, origin, twin, leaving, around, version, independent)
+    hub, between = np.zeros(n, dtype=np.bool_), set(order[:0])
+    find_hubs(origin, twin, leaving, valence, hub, between)
+    shape = (x, q, origin, twin, leaving, valence, hub)
+    heap = _candidates(shape, between, around, version, most, independent)
     done, first, current = 0, 0, 0
     while done < n - BASE:
         cost, v, h, made = heapq.heappop(heap)
         if cost == np.inf:
-            if not independent or done == first:
+            if done == first and most == n:
                 break
-            first, current = done, current + 1
-            heap = _candidates(x, q, origin, twin, leaving, around, version, independent)
+            # A hub goes only where nothing else can.
+            most = HUB if done > first else n
+            current += independent and done > first
+            first = done
+            heap = _candidates(shape, between, around, version, most, independent)
             continue
         if made != version[v]:
             continue
         size = ring(h, origin, twin, around)
-        if not _linked(around, size, h, origin, twin):
+        if not _linked(around, size, origin, twin, leaving, hub, between):
             # The tip has got new neighbours meanwhile.
-            _renew(v, heap, x, q, origin, twin, leaving, other, version, independent)
+            _renew(v, heap, shape, between, other, version, independent)
             continue
-        collapse(h, origin, twin, leaving)
-        for k in range(10):
-            q[around[0], k] += q[v, k]
+        _collapsed(h, around, size, shape, between)
         version[v] = -1
         order[done], sets[done] = h, current
         done += 1
         for k in range(size):
-            near = around[k]
             if independent:
-                version[near] += 1
+                version[around[k]] += 1
             else:
-                _renew(near, heap, x, q, origin, twin, leaving, other, version, independent)
+                _renew(around[k], heap, shape, between, other, version, independent)
     return order[:done], sets[:done]

@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 
 from gensp.compiled.halfedges import ring, split
+from gensp.compiled.hubs import HUB
 from gensp.compiled.relaxation import insert_vertex, relax_vertex
 from gensp.compiled.stars import gather, star_distortion
 
@@ -18,13 +19,14 @@ from gensp.compiled.stars import gather, star_distortion
 def _relax_at(
     i, steps, x, u, origin, twin, leaving, moved, scale, least, energy, pulls, goals, around, star
 ):
+    """Relax vertex i and tell its neighbours; gives their number."""
     size = ring(leaving[i], origin, twin, around)
     away = relax_vertex(
         i, around, size, x, u, scale, least, energy, pulls[i], goals[i], steps, star
     )
     for k in range(size):
         moved[around[k]] += away
-    return away
+    return size
 
 
 @njit(cache=True)
@@ -38,11 +40,13 @@ def _distortion_at(i, x, u, origin, twin, leaving, scale, least, around, star):
 @njit(cache=True)
 def insert(
     order, first, last, fewest, bound, x, u, origin, twin, leaving, moved, scale, least, energy,
-    pulls, goals, around, other, star,
+    pulls, goals, waits, around, other, star,
 ):  # fmt: skip
     """Insert order[first:last]; gives where it ended, and False if the vertex there has no place.
 
-    From `fewest` on it ends with the first vertex that has a triangle of σ_t > `bound`.
+    From `fewest` on it ends with the first vertex that has a triangle of σ_t > `bound`. `waits`
+    (n,) is how many new neighbours a vertex lets pass before it is relaxed again: the more
+    neighbours it has the more, so that a fan is not walked with every one of its triangles.
     """
     for k in range(first, last):
         h = order[k]
@@ -62,10 +66,13 @@ def insert(
             )  # fmt: skip
             if visit == 0:
                 for n in range(size):
-                    _relax_at(
-                        around[n], steps // 4, x, u, origin, twin, leaving, moved, scale, least,
-                        energy, pulls, goals, other, star,
-                    )  # fmt: skip
+                    near = around[n]
+                    waits[near] -= 1
+                    if waits[near] < 0:
+                        waits[near] = _relax_at(
+                            near, steps // 4, x, u, origin, twin, leaving, moved, scale, least,
+                            energy, pulls, goals, other, star,
+                        ) // HUB  # fmt: skip
         if k + 1 < fewest or bound == np.inf:
             continue
         if _distortion_at(i, x, u, origin, twin, leaving, scale, least, other, star) > bound:

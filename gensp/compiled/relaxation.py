@@ -3,6 +3,7 @@
 import numpy as np
 from numba import njit
 
+from gensp.compiled.kernels import kernel_centre
 from gensp.compiled.stars import gather, newton_step, star_energy
 
 _HALVINGS = 30
@@ -69,62 +70,6 @@ def relax_vertex(
 
 
 @njit(cache=True)
-def _normals(around: np.ndarray, size: int, u: np.ndarray, star: np.ndarray) -> bool:
-    """Unit normals of the great circles along the ring, into the first columns of `star`."""
-    for k in range(size):
-        a, b = around[k], around[(k + 1) % size]
-        sx, sy, sz = u[b, 0] - u[a, 0], u[b, 1] - u[a, 1], u[b, 2] - u[a, 2]
-        nx = u[a, 1] * sz - u[a, 2] * sy
-        ny = u[a, 2] * sx - u[a, 0] * sz
-        nz = u[a, 0] * sy - u[a, 1] * sx
-        length = np.sqrt(nx * nx + ny * ny + nz * nz)
-        if length == 0:
-            return False
-        star[k, 0], star[k, 1], star[k, 2] = nx / length, ny / length, nz / length
-    return True
-
-
-@njit(cache=True)
-def _sees_all(
-    cx: float, cy: float, cz: float, k: int, n: int, size: int, star: np.ndarray
-) -> bool:
-    """Whether (cx, cy, cz) is inside of all great circles but k and n, where they meet."""
-    for m in range(size):
-        above = star[m, 0] * cx + star[m, 1] * cy + star[m, 2] * cz
-        if above < -1e-12 and m != k and m != n:
-            return False
-    return True
-
-
-@njit(cache=True)
-def _kernel_centre(
-    around: np.ndarray, size: int, u: np.ndarray, star: np.ndarray, out: np.ndarray
-) -> bool:
-    """Mean direction of the kernel's corners: the points that see the whole spherical polygon."""
-    out[0] = out[1] = out[2] = 0.0
-    if not _normals(around, size, u, star):
-        return False
-    for k in range(size):
-        for n in range(k + 1, size):
-            cx = star[k, 1] * star[n, 2] - star[k, 2] * star[n, 1]
-            cy = star[k, 2] * star[n, 0] - star[k, 0] * star[n, 2]
-            cz = star[k, 0] * star[n, 1] - star[k, 1] * star[n, 0]
-            length = np.sqrt(cx * cx + cy * cy + cz * cz)
-            if length < 1e-12:
-                continue
-            for sign in range(-1, 2, 2):
-                sx, sy, sz = sign * cx / length, sign * cy / length, sign * cz / length
-                if _sees_all(sx, sy, sz, k, n, size, star):
-                    out[0], out[1], out[2] = out[0] + sx, out[1] + sy, out[2] + sz
-    length = np.sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2])
-    if length < 1e-12:
-        return False
-    for c in range(3):
-        out[c] /= length
-    return True
-
-
-@njit(cache=True)
 def insert_vertex(
     i: int,
     around: np.ndarray,
@@ -144,7 +89,7 @@ def insert_vertex(
     vertex that i was collapsed into.
     """
     centre, place = np.empty(3), np.empty(3)
-    seen = _kernel_centre(around, size, u, star, centre)
+    seen = kernel_centre(around, size, u, star, centre)
     gather(around, size, i, x, u, scale, least, star)
     best = star_energy(goal, around, size, u, star, energy, pull, goal) if pull > 0 else np.inf
     if best < np.inf:

@@ -145,7 +145,7 @@ class _Growing:
         self.order = np.ascontiguousarray(collapses.order[::-1])
         self.inserted = 0
         count = len(mesh.vertices)
-        self.moved = np.zeros(count)
+        self.moved, self.waits = np.zeros(count), np.zeros(count, np.int64)
         self.work = (np.empty(count, np.int64), np.empty(count, np.int64), np.empty((count, 8)))
         self.u = np.zeros((count, 3))
         self.u[self.base] = self._tetrahedron()
@@ -175,7 +175,7 @@ class _Growing:
         )
         group = (self.inserted, most - BASE, fewest - BASE, float(self.schedule.bound))
         self.inserted, placed = insert(
-            self.order, *group, *self._arrays(), *self._settings(), *self.work
+            self.order, *group, *self._arrays(), *self._settings(), self.waits, *self.work
         )
         if not placed:
             self._fail()
