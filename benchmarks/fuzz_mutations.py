@@ -1,4 +1,4 @@
-"""Mutations of valid files: bytes, lengths, chunks, numbers, members of archives."""
+"""Mutations of valid files: bytes, lengths, chunks, numbers, members of archives, datasets."""
 
 import io
 import re
@@ -6,6 +6,7 @@ import zipfile
 from collections.abc import Callable
 
 import numpy as np
+from fuzz_hdf5 import is_hdf5, redeclared
 
 Random = np.random.Generator
 
@@ -86,6 +87,7 @@ def plain(data: bytes, random: Random) -> bytes:
 
 
 def mutated(data: bytes, random: Random) -> bytes:
-    """A mutated file; of every archive in two the members."""
-    archive = zipfile.is_zipfile(io.BytesIO(data))
-    return repacked(data, random) if archive and random.random() < 0.5 else plain(data, random)
+    """A mutated file; every other archive or file of HDF5 by its structure."""
+    remade = redeclared if is_hdf5(data) else repacked
+    whole = is_hdf5(data) or zipfile.is_zipfile(io.BytesIO(data))
+    return remade(data, random) if whole and random.random() < 0.5 else plain(data, random)

@@ -178,7 +178,7 @@ def _dfaust_files(folder: Path) -> list[Path]:
 
 
 def _dfaust(path: Path) -> None:
-    found = DFaust(path.parent, on_bad="keep", train=None, test=None)
+    found = DFaust(path.parent, on_bad="keep", train=None, test=None, points=None)
     for id in found.ids()[:8]:
         diagnose(found.mesh(id))
         found.ground_truth(id)

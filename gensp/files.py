@@ -133,13 +133,17 @@ def read_yaml(path: Path | str) -> Any:
     Raises
     ------
     DamagedFile
-        It is no YAML, or asks for objects.
+        It is no YAML, asks for objects, or repeats values by name: a few such lines stand for
+        more values than memory holds.
     """
     # Imported late: hardly a command reads one.
     import yaml
 
     try:
-        return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        text = Path(path).read_text(encoding="utf-8")
+        if "*" in text and any(isinstance(word, yaml.AliasToken) for word in yaml.scan(text)):
+            raise ValueError("values repeated by name")
+        return yaml.safe_load(text)
     # Constructors of dates and numbers raise what they meet; the file is at fault in each case.
     except (yaml.YAMLError, ValueError, TypeError, LookupError, RecursionError) as error:
         raise DamagedFile(_damaged(path, "YAML", error)) from error

@@ -4,6 +4,7 @@ import errno
 import io
 import subprocess
 import sys
+import tracemalloc
 import zipfile
 from pathlib import Path
 
@@ -17,9 +18,9 @@ from gensp import occupancy
 from gensp.checksums import listing, require_intact
 from gensp.compute import Row, row_path, run_items, stored_rows
 from gensp.data.shapes import ShapeCollection
-from gensp.errors import DamagedFile, RunInUse, TrainingDiverged
+from gensp.errors import BadMesh, DamagedFile, RunInUse, TrainingDiverged
 from gensp.files import load_npz, read_json, read_rows, save_npz
-from gensp.geometry.mesh import Mesh, save_mesh
+from gensp.geometry.mesh import Mesh, load_mesh, save_mesh
 from gensp.occupancy import occupied
 from gensp.restarts import begin, clear, require_own, restart
 from gensp.sharing import Workers
@@ -243,6 +244,40 @@ def test_an_array_larger_than_its_bytes_takes_no_memory(tmp_path: Path) -> None:
         archive.writestr("a.npy", huge.getvalue() + data[-32:])
     with pytest.raises(DamagedFile, match="an array"):
         load_npz(path)
+
+
+PLY = """ply
+format {} 1.0
+element vertex 2147483647
+property float x
+property float y
+property float z
+element face {}
+property list {} int vertex_indices
+end_header
+"""
+DECLARED = {
+    "ascii.ply": PLY.format("ascii", 2147483647, "uchar").encode() + b"0 0 0\n",
+    "binary.ply": PLY.format("binary_little_endian", 2147483647, "uchar").encode() + bytes(60),
+    "corners.ply": PLY.replace("2147483647", "1")
+    .format("binary_little_endian", 1, "uint")
+    .encode()
+    + bytes(12)
+    + np.uint32(10**8).tobytes(),
+    "a.off": b"OFF\n2147483647 2147483647 0\n0 0 0\n",
+    "a.stl": bytes(80) + np.uint32(2**32 - 1).tobytes() + bytes(50),
+    "a.obj": b"v 0 0 0\nf 1 1 99999999999\n",
+}
+
+
+@pytest.mark.parametrize("name", DECLARED)
+def test_a_mesh_larger_than_its_bytes_takes_no_memory(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(DECLARED[name])
+    tracemalloc.start()
+    with pytest.raises(BadMesh, match=r"cannot be read|holds no triangles"):
+        load_mesh(tmp_path / name)
+    assert tracemalloc.get_traced_memory()[1] < 2**24
+    tracemalloc.stop()
 
 
 def test_arrays_come_back_in_order_kind_and_writable(tmp_path: Path) -> None:

@@ -4,8 +4,16 @@ import os
 import numpy as np
 import pytest
 
-from gensp.errors import OutputError
-from gensp.files import atomic_path, content_hash, load_npz, read_json, save_npz, write_json
+from gensp.errors import DamagedFile, OutputError
+from gensp.files import (
+    atomic_path,
+    content_hash,
+    load_npz,
+    read_json,
+    read_yaml,
+    save_npz,
+    write_json,
+)
 
 
 def test_round_trips(tmp_path):
@@ -50,3 +58,16 @@ def test_hash_depends_on_content_dtype_and_shape():
         content_hash(a.astype("f4"), 1),
     ]
     assert content_hash(a, 1) not in others
+
+
+def test_values_repeated_by_name_are_refused(tmp_path):
+    """Every such line stands for nine times as many texts as that before it."""
+    path, line = tmp_path / "a.yaml", "{0}: &{0} [{1}]\n"
+    text = "".join(
+        line.format(name, ",".join([f"*{old}"] * 9)) for old, name in zip("ab", "bc", strict=True)
+    )
+    path.write_text("a: &a [x]\n" + text)
+    with pytest.raises(DamagedFile, match=r"a\.yaml: is damaged .*repeated by name.*restore"):
+        read_yaml(path)
+    path.write_text("a: 'b * c'\nd: '*e'\n")
+    assert read_yaml(path) == {"a": "b * c", "d": "*e"}

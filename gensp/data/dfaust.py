@@ -4,12 +4,9 @@ Source of the layout: Bogo et al., Dynamic FAUST: Registering Human Bodies in Mo
 """
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Int
@@ -17,28 +14,13 @@ from jaxtyping import Int
 from gensp.data.ground_truth import GroundTruth
 from gensp.data.keypoints import Record
 from gensp.data.raw import require_preparing
-from gensp.errors import GenSPError, MissingData, UnreadableMesh, Unsupported
+from gensp.data.registrations import Motion, chosen, listed, opened
+from gensp.errors import MissingData, UnreadableMesh, Unsupported
 from gensp.files import content_hash
 from gensp.geometry.mesh import Mesh
 from gensp.geometry.points import SurfacePoints
 
 TEMPLATE = "dfaust"
-_PATTERN = "registrations_*.hdf5"
-
-
-@dataclass(frozen=True)
-class Motion:
-    """One dataset <subject>_<sequence> of a file: so many frames (V, 3, frames)."""
-
-    subject: str
-    name: str
-    file: Path
-    frames: int
-
-    @property
-    def key(self) -> str:
-        """Name of the dataset in its file."""
-        return f"{self.subject}_{self.name}"
 
 
 class DFaust:
@@ -82,13 +64,12 @@ class DFaust:
         self.name, self.up, self.root = name, up, Path(root)
         self.points = points
         self._held_out = [str(subject) for subject in test_subjects], list(test_sequences)
-        self._sequences = {entry.key: entry for entry in _listed(self.root)}
+        self._sequences = listed(self.root)
         _require_known(self._held_out, self._sequences)
-        frames = {side: self._frames(side) for side in ("train", "test")}
         self._split = {
             id: side
             for side, count in (("train", train), ("test", test))
-            for id in _evenly(frames[side], count, side, self.root)
+            for id in self._frames(side, count)
         }
 
     def ids(self) -> list[str]:
@@ -98,9 +79,11 @@ class DFaust:
     def mesh(self, id: str) -> Mesh:
         """The registered frame, in the template's connectivity."""
         key, frame = id.rsplit("_", 1)
-        with _opened(self._sequences[key].file) as file:
+        path = self._sequences[key].file
+        with opened(path) as file:
             vertices = np.array(file[key][:, :, int(frame)], dtype=np.float64)
             faces = np.array(file["faces"], dtype=np.int64)
+        _require_corners(path, key, faces, len(vertices))
         return Mesh(vertices, faces, id)
 
     def digest(self, id: str) -> str:
@@ -141,14 +124,23 @@ class DFaust:
         """Train and test as the subjects and sequences say."""
         return {id: self._split[id] for id in ids}
 
-    def _frames(self, side: str) -> list[str]:
+    def _frames(self, side: str, count: int | None) -> list[str]:
+        """`count` of a side's frames, evenly along all its sequences; only these are listed."""
         subjects, names = self._held_out
-        return [
-            f"{key}_{frame:05d}"
-            for key, entry in self._sequences.items()
+        own = [
+            entry
+            for entry in self._sequences.values()
             if (entry.subject in subjects or entry.name in names) == (side == "test")
-            for frame in range(entry.frames)
         ]
+        there = sum(entry.frames for entry in own)
+        if count is not None and count > there:
+            raise MissingData(
+                f"{self.root}: {there} frames can be {side} frames; shapes.{side}={count} are "
+                f"required; ask for fewer, or name other shapes.test_subjects or "
+                "shapes.test_sequences"
+            )
+        places = np.linspace(0, there, there if count is None else count, endpoint=False)
+        return chosen(own, places.astype(np.int64))
 
 
 def _corners(faces: Int[np.ndarray, "m 3"], vertices: Int[np.ndarray, " k"]) -> SurfacePoints:
@@ -160,45 +152,12 @@ def _corners(faces: Int[np.ndarray, "m 3"], vertices: Int[np.ndarray, " k"]) -> 
     return SurfacePoints(place // 3, weights)
 
 
-def _evenly(frames: list[str], count: int | None, side: str, root: Path) -> list[str]:
-    """`count` of the frames, evenly along their list."""
-    if count is None:
-        return frames
-    if count > len(frames):
-        raise MissingData(
-            f"{root}: {len(frames)} frames can be {side} frames; shapes.{side}={count} are "
-            f"required; ask for fewer, or name other shapes.test_subjects or shapes.test_sequences"
+def _require_corners(path: Path, key: str, faces: Int[np.ndarray, "m 3"], count: int) -> None:
+    if not faces.size or faces.min() < 0 or faces.max() >= count:
+        raise UnreadableMesh(
+            f"{path}: 'faces' does not fit the {count} vertices of '{key}'; one face at least, of "
+            "numbers of vertices, is required; download it again"
         )
-    places = np.linspace(0, len(frames), count, endpoint=False).astype(int)
-    return [frames[place] for place in places]
-
-
-def _listed(root: Path) -> list[Motion]:
-    files = sorted(root.glob(_PATTERN)) if root.is_dir() else []
-    if not files:
-        raise MissingData(
-            f"{root}: has no {_PATTERN}; the registrations of D-FAUST are required; set "
-            "shapes.root=FOLDER"
-        )
-    return [entry for path in files for entry in _sequences(path)]
-
-
-def _sequences(path: Path) -> Iterator[Motion]:
-    with _opened(path) as file:
-        if "faces" not in file:
-            raise UnreadableMesh(
-                f"{path}: has no dataset 'faces'; faces (F, 3) and <subject>_<sequence> "
-                "(V, 3, frames) are required; download it again"
-            )
-        for key in sorted(set(file) - {"faces"}):
-            shape: tuple[int, ...] = getattr(file[key], "shape", ())
-            if "_" not in key or len(shape) != 3 or shape[1] != 3:
-                raise UnreadableMesh(
-                    f"{path}: '{key}' has the shape {shape}; <subject>_<sequence> of shape "
-                    "(V, 3, frames) is required; download it again"
-                )
-            subject, name = key.split("_", 1)
-            yield Motion(subject, name, path, int(shape[2]))
 
 
 def _require_known(held_out: tuple[list[str], list[str]], sequences: Mapping[str, Motion]) -> None:
@@ -213,25 +172,6 @@ def _require_known(held_out: tuple[list[str], list[str]], sequences: Mapping[str
                 f"shapes.{key}: '{unknown[0]}' is not there; some of {', '.join(sorted(known))} "
                 "are required; correct the list"
             )
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    """An HDF5 file; whatever its reader says of it in one line."""
-    # Imported late: only this collection needs it.
-    import h5py
-
-    try:
-        with h5py.File(path, "r") as file:
-            yield file
-    except GenSPError:
-        raise
-    # The reader of a damaged file raises whatever it met; the file is at fault in each case.
-    except Exception as error:
-        raise UnreadableMesh(
-            f"{path}: cannot be read ({type(error).__name__}: {str(error)[:80]}); a whole HDF5 "
-            "file of registrations is required; download it again"
-        ) from error
 
 
 def _file_digest(path: Path) -> str:

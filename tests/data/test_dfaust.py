@@ -1,5 +1,7 @@
 """D-FAUST: frames, who is held out, the template's vertices as ground truth."""
 
+import tracemalloc
+from collections.abc import Callable
 from pathlib import Path
 
 import h5py
@@ -81,3 +83,98 @@ def test_damaged_files_are_told(root: Path) -> None:
 def test_frames_are_refused_where_they_are_learnt_from(root: Path) -> None:
     with pytest.raises(Unsupported, match=r"stage=prepare shapes=dfaust"):
         DFaust(root)
+
+
+def test_a_sequence_of_both_files_is_refused(root: Path) -> None:
+    with h5py.File(root / "registrations_m.hdf5", "r+") as file:
+        file["50004_hips"] = np.zeros((len(BALL.vertices), 3, 1), np.float32)
+    line = r"_m\.hdf5: has '50004_hips', which .*_f\.hdf5 has too; .*remove one of the files"
+    with pytest.raises(UnreadableMesh, match=line):
+        read(root)
+
+
+def test_no_more_frames_are_listed_than_are_asked_for(tmp_path: Path) -> None:
+    """Of 300,000 frames four: the same as evenly from a list of all, in memory for the four."""
+    root = tmp_path / "long"
+    root.mkdir()
+    with h5py.File(root / "registrations_f.hdf5", "w") as file:
+        file["faces"] = BALL.faces[:1] * 0
+        for name, frames in (("1_a", 100_000), ("2_b", 200_000)):
+            file[name] = np.zeros((1, 3, frames), np.int8)
+    everything = read(root).ids()
+    expected = [everything[place] for place in (0, 75_000, 150_000, 225_000)]
+    tracemalloc.start()
+    assert read(root, train=4).ids() == expected
+    assert tracemalloc.get_traced_memory()[1] < 2**20
+    tracemalloc.stop()
+
+
+def declared(file: h5py.File) -> None:
+    """A billion frames in two kilobytes: chunks that were never written."""
+    file.create_dataset("50002_hips", (4, 3, 10**9), np.float32, chunks=(4, 3, 1000))
+
+
+def without_vertices(file: h5py.File) -> None:
+    file.create_dataset("50002_hips", (0, 3, 10**9), np.float32)
+
+
+def compressed(file: h5py.File) -> None:
+    shape = (1000, 3, 1000)
+    file.create_dataset("50002_hips", data=np.zeros(shape, np.int8), compression="gzip")
+
+
+def chunked(file: h5py.File) -> None:
+    """A small dataset whose one chunk would take a GiB."""
+    words = {"chunks": (2**15, 3, 2**11), "maxshape": (None, 3, None)}
+    file.create_dataset("50002_hips", (4, 3, 1), np.float32, **words)
+    file["50002_hips"].id.write_direct_chunk((0, 0, 0), b"\0" * 8)
+
+
+def external(file: h5py.File) -> None:
+    words = {"external": [("other.raw", 0, 48)]}
+    file.create_dataset("50002_hips", (4, 3, 1), np.float32, **words)
+
+
+def virtual(file: h5py.File) -> None:
+    layout = h5py.VirtualLayout((4, 3, 10**6), np.float32)
+    layout[:, :, :1] = h5py.VirtualSource("other.hdf5", "50004_hips", (4, 3, 1))
+    file.create_virtual_dataset("50002_hips", layout)
+
+
+def linked(file: h5py.File) -> None:
+    file["50002_hips"] = h5py.ExternalLink("registrations_f.hdf5", "50004_hips")
+
+
+def texts(file: h5py.File) -> None:
+    file.create_dataset("50002_hips", (4, 3, 1), h5py.string_dtype())
+
+
+HOSTILE = {
+    declared: r"'50002_hips' declares 48000000000 bytes, of which 0 are there \(more than 100",
+    without_vertices: r"declare 1000000008 frames; at most 1000000 of all sequences",
+    compressed: r"'50002_hips' declares 3000000 bytes, of which \d+ are there \(more than 100",
+    chunked: r"'50002_hips' declares 805306368 bytes, of which 8 are there",
+    external: r"'50002_hips' is a link, or lies in another file",
+    virtual: r"'50002_hips' is a link, or lies in another file",
+    linked: r"'50002_hips' is a link, or lies in another file",
+    texts: r"'50002_hips' has the shape \(4, 3, 1\) of object",
+}
+
+
+@pytest.mark.parametrize("make", HOSTILE)
+def test_more_than_a_file_can_hold_is_refused(
+    root: Path, make: Callable[[h5py.File], None]
+) -> None:
+    with h5py.File(root / "registrations_m.hdf5", "w") as file:
+        file["faces"] = BALL.faces
+        make(file)
+    with pytest.raises(UnreadableMesh, match=f"{HOSTILE[make]}.* required.*; download") as told:
+        read(root, train=4)
+    assert "\n" not in str(told.value)
+
+
+def test_faces_beyond_the_vertices_are_refused(root: Path) -> None:
+    with h5py.File(root / "registrations_m.hdf5", "r+") as file:
+        file["faces"][0, 0] = 2**32 - 1
+    with pytest.raises(UnreadableMesh, match="does not fit the 162 vertices of '50002_hips'"):
+        read(root).mesh("50002_hips_00000")
