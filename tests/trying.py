@@ -1,4 +1,4 @@
-"""A task whose items fail or kill their process, shared by the tests of workers."""
+"""Tasks and collections whose items fail or kill their process, shared by tests of workers."""
 
 import os
 import signal
@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gensp.compute import Row
+from gensp.data.shapes import ShapeCollection
 from gensp.errors import BadMesh, OutputError
+from gensp.geometry.mesh import Mesh
 
 
 @dataclass(frozen=True)
@@ -38,3 +40,15 @@ class Trying:
             os.kill(self.whom(), signal.SIGKILL)
             os.kill(os.getpid(), signal.SIGKILL)  # as SLURM ends all processes of a task
         return {"id": item, "process": os.getpid(), "threads": os.environ.get("OMP_NUM_THREADS")}
+
+
+class Deadly(ShapeCollection):
+    """Two of its meshes kill whoever reads them, or raise an error of the program."""
+
+    def mesh(self, id: str) -> Mesh:
+        """The mesh, unless it is one of these."""
+        if id == "deadly":
+            os.kill(os.getpid(), signal.SIGKILL)
+        if id == "raising":
+            raise IndexError("index 7 is out of bounds")
+        return super().mesh(id)

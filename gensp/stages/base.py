@@ -189,11 +189,11 @@ class ItemStage(Stage):
     table
         Name of the csv file of all rows.
     max_failures
-        More failed items than this end the stage with an error.
+        More failed items than this end the stage with an error; None bears any number.
     """
 
     def __init__(
-        self, *, table: str, max_failures: int = 0, folder: Path | str = Path(".")
+        self, *, table: str, max_failures: int | None = 0, folder: Path | str = Path(".")
     ) -> None:
         super().__init__(folder=folder)
         self.table = table
@@ -218,7 +218,7 @@ class ItemStage(Stage):
         """
         rows = self.rows
         failed = [row for row in rows if row.get("error")]
-        if len(failed) > self.max_failures:
+        if self.max_failures is not None and len(failed) > self.max_failures:
             first = "; ".join(str(row["error"]) for row in failed[:3])
             raise GenSPError(
                 f"{self.folder}: {len(failed)} of {len(rows)} items failed, at most "

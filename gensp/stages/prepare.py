@@ -13,7 +13,7 @@ from gensp.files import read_json, write_json
 from gensp.geometry.preparation import DROPPED, REPAIRED
 from gensp.runs import Run
 from gensp.stages.base import ItemStage, write_table
-from gensp.tasks.prepare import prepared_path
+from gensp.tasks.prepare import KINDS, prepared_path
 
 _DROPPED = ("id", "reason", "remedy", "found", "source")
 _TOLD = ("verdict", "found", "done", "hausdorff", "vertices", "faces", "truth_moved")
@@ -25,16 +25,14 @@ class PrepareStage(ItemStage):
     Writes meshes/<id>.ply, corr/<id>.npz, keypoints.json, manifest.csv, which `shapes=folder`
     reads; dropped.csv (what was left out and why), misaligned.csv (models whose keypoints do not
     lie on them or cannot be read), prepared.csv (a row for every mesh) and the data card.
+
+    A mesh that was given up, because workers died of it or met an error, is dropped as others are.
     """
 
     def __init__(
-        self,
-        *,
-        collection: RawCollection | None = None,
-        max_failures: int = 0,
-        folder: Path | str = Path("."),
+        self, *, collection: RawCollection | None = None, folder: Path | str = Path(".")
     ) -> None:
-        super().__init__(table="prepared", max_failures=max_failures, folder=folder)
+        super().__init__(table="prepared", max_failures=None, folder=folder)
         self.collection = collection
 
     @classmethod
@@ -49,6 +47,11 @@ class PrepareStage(ItemStage):
         """The stage for a raw collection."""
         return cls(folder=folder, collection=collection, **numbers)
 
+    @property
+    def rows(self) -> list[Row]:
+        """The rows of all items; of those given up the verdict and the reason."""
+        return [_dropped(row) if row.get("error") else row for row in super().rows]
+
     def finish(self) -> dict[str, float]:
         """Write the collection's tables and its card.
 
@@ -59,11 +62,12 @@ class PrepareStage(ItemStage):
         """
         assert self.collection is not None
         counts = super().finish()
-        rows = {str(row["id"]): row for row in self.rows if not row.get("error")}
+        rows = {str(row["id"]): row for row in self.rows}
         ordered = [rows[id] for id in self.collection.ids() if id in rows]
         kept = [row for row in ordered if row["verdict"] != DROPPED]
         dropped = [row for row in ordered if row["verdict"] == DROPPED]
         self._write_dropped(dropped)
+        self._remove_rests([str(row["id"]) for row in dropped if row.get("error")])
         if not kept:
             raise MissingData(
                 f"{self.folder}: none of {len(ordered)} meshes can be used, the first because of "
@@ -74,8 +78,9 @@ class PrepareStage(ItemStage):
         write_card(self.folder, name=self.collection.name, up=self.collection.up)
         repaired = sum(row["verdict"] == REPAIRED for row in kept)
         told = {"kept": len(kept), "repaired": repaired, "dropped": len(dropped)}
+        told["failed"] = counts["failed"]
         told |= {"used": used} if used < len(kept) else {}
-        return {**told, "cached": sum(bool(row["cached"]) for row in ordered), **counts}
+        return {**told, "cached": sum(bool(row.get("cached")) for row in ordered), **counts}
 
     def _write_dropped(self, dropped: list[Row]) -> None:
         rows = [
@@ -83,6 +88,11 @@ class PrepareStage(ItemStage):
             for row in dropped
         ]
         write_table(self.folder / "dropped.csv", rows, columns=_DROPPED)
+
+    def _remove_rests(self, failed: list[str]) -> None:
+        """What workers had written of a mesh before they died of it is no part of a collection."""
+        for path in (prepared_path(self.folder, kind, id) for kind in KINDS for id in failed):
+            path.unlink(missing_ok=True)
 
     def _write_collection(self, kept: list[Row]) -> int:
         """Write the tables of the meshes that have a split; their number."""
@@ -140,3 +150,9 @@ class PrepareStage(ItemStage):
     def _columns(self, row: Row) -> dict[str, str]:
         assert self.collection is not None
         return self.collection.columns(str(row["id"]))
+
+
+def _dropped(row: Row) -> Row:
+    """The row of a mesh that was given up, as that of one which cannot be used."""
+    reason = str(row["error"]).removeprefix(f"{row['id']}: ")
+    return {"id": row["id"], "verdict": DROPPED, "reason": reason, "error": row["error"]}

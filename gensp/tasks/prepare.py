@@ -2,7 +2,9 @@
 
 import json
 import time
-from collections.abc import Mapping
+import traceback
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +15,7 @@ from gensp.compute import Row
 from gensp.data.ground_truth import GroundTruth, carry_ground_truth, save_ground_truth
 from gensp.data.keypoints import Record, carry_keypoints, keypoint_distance, symmetry_groups
 from gensp.data.raw import RawCollection
-from gensp.errors import BadMesh, DamagedFile
+from gensp.errors import BadMesh, DamagedFile, GenSPError
 from gensp.files import atomic_path, content_hash, load_npz, save_npz, write_json
 from gensp.geometry.mesh import MAX_FACES, Mesh, normalize
 from gensp.geometry.ply import ply_bytes
@@ -23,7 +25,7 @@ from gensp.layout import item_folder, keyed_path
 
 # Raised when the same input is to give other output.
 _VERSION = 3
-_ENDS = {"meshes": ".ply", "corr": ".npz", "keypoints": ".json"}
+KINDS = {"meshes": ".ply", "corr": ".npz", "keypoints": ".json"}  # the ends of their names
 
 
 @dataclass(frozen=True)
@@ -65,15 +67,21 @@ class Prepare:
     cache: Path | None = None
 
     def __call__(self, id: str) -> Row:
-        """Prepare the mesh, or take what is kept of it; see the stage for the row."""
+        """Prepare the mesh, or take what is kept of it; see the stage for the row.
+
+        Raises
+        ------
+        GenSPError
+            The mesh or its ground truth led to an error, of whatever kind.
+        """
         start = time.perf_counter()
-        kept = self._kept(id)
-        bundle = _loaded(kept, id)
-        cached = bundle is not None
-        if bundle is None:
-            bundle = self._made(id)
-            if kept is not None:
-                _save(bundle, kept)
+        with _blamed_on(id):
+            kept = self._kept(id)
+            found = _loaded(kept, id)
+            bundle = found or self._made(id)
+        cached = found is not None
+        if kept is not None and not cached:
+            _save(bundle, kept)
         self._write(id, bundle)
         return bundle.row | {"cached": cached, "seconds": round(time.perf_counter() - start, 3)}
 
@@ -148,9 +156,25 @@ class Prepare:
             write_json(prepared_path(self.folder, "keypoints", id), bundle.record)
 
 
+@contextmanager
+def _blamed_on(id: str) -> Iterator[None]:
+    """Errors of any kind as one of ours: one mesh must not cost the others their collection."""
+    try:
+        yield
+    except GenSPError:
+        raise
+    except Exception as error:
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        met = f"{type(error).__name__}: {' '.join(str(error).split())[:120]}"
+        raise GenSPError(
+            f"{id}: an unexpected error was met ({met}; {Path(where.filename).name}, line "
+            f"{where.lineno}); a mesh that can be prepared is required; mend it, or leave it out"
+        ) from error
+
+
 def prepared_path(folder: Path, kind: str, id: str) -> Path:
     """Where the meshes, the ground truth ("corr") or the keypoints of a collection are written."""
-    return item_folder(folder, kind, id) / f"{id}{_ENDS[kind]}"
+    return item_folder(folder, kind, id) / f"{id}{KINDS[kind]}"
 
 
 def _row(found: Prepared) -> Row:

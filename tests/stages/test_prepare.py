@@ -328,6 +328,42 @@ def test_a_collection_without_a_usable_mesh_is_told(tmp_path: Path) -> None:
         prepare(tmp_path / "raw", tmp_path / "out")
 
 
+DEADLY = ("shapes._target_=trying.Deadly.from_folder", "workers.jobs=2")
+
+
+def test_meshes_that_kill_their_workers_are_dropped(raw: Path, tmp_path: Path) -> None:
+    """And those that lead to an error of the program; the others become a collection."""
+    for name in ("deadly", "raising"):
+        save_mesh(BALL, raw / f"{name}.ply")
+    with open(raw / "manifest.csv", "a") as file:
+        file.write("deadly.ply,train,stone,CC0,\nraising.ply,train,stone,CC0,\n")
+    out = tmp_path / "out"
+    with pytest.warns(UserWarning, match="a worker died; its items are done again"):
+        rows = prepare(raw, out, *DEADLY)
+    verdicts = {id: row["verdict"] for id, row in rows.items()}
+    assert verdicts == {
+        **{"bumpy": "usable", "ellipsoid": "usable", "open": "dropped", "parts": "dropped"},
+        **{"deadly": "dropped", "raising": "dropped"},
+    }
+    reasons = {row["id"]: row["reason"] for row in table(out / "dropped.csv")}
+    assert reasons["deadly"].startswith("its worker process died 2 times")
+    assert "IndexError: index 7 is out of bounds; trying.py" in reasons["raising"]
+    assert ShapeCollection.from_folder(out).ids() == ["bumpy", "ellipsoid"]
+    metrics = json.loads((out / "manifest.json").read_text())["metrics"]
+    assert metrics["failed"] == 2
+    assert list(metrics)[:4] == ["kept", "repaired", "dropped", "failed"]
+    assert [metrics[name] for name in ("kept", "dropped", "items")] == [2, 4, 6]
+    again = prepare(raw, out, "workers.jobs=2", "force=true")
+    assert again["deadly"]["verdict"] == again["raising"]["verdict"] == "usable"
+    assert "error" not in again["deadly"]
+
+
+def test_a_collection_of_deadly_meshes_alone_is_told(tmp_path: Path) -> None:
+    save_mesh(BALL, tmp_path / "raw" / "raising.ply")
+    with pytest.raises(MissingData, match=r"none of 1 meshes .* an unexpected error was met"):
+        prepare(tmp_path / "raw", tmp_path / "out", *DEADLY)
+
+
 @pytest.mark.parametrize(
     ("more", "line"),
     [
