@@ -20,8 +20,10 @@ _STAGES = (
     *("parameterize", "evaluate"),
 )
 _NEEDED = {"stage", "digest", "metrics", "settings", "files"}
+# Of the largest process; of all ranks and workers together; of the largest GPU.
+MEMORY = ("peak_memory_gib", "peak_memory_sum_gib", "peak_gpu_memory_gib")
 FACTS = (
-    *("seconds", "peak_memory_gib", "device", "threads", "ranks", "revision"),
+    *("seconds", *MEMORY, "device", "threads", "ranks", "revision"),
     *("machine", "processor", "memory_gib"),
 )
 
@@ -187,7 +189,7 @@ def _differing(stage: str, entries: Sequence[Entry | None]) -> list[list[str]]:
     ]
     there = [table for table, entry in zip(tables, entries, strict=True) if entry is not None]
     keys = dict.fromkeys(key for table in tables for key in table)
-    always = {"seconds", "peak_memory_gib"}
+    always = {"seconds", *MEMORY}
     return [
         [stage, key, *(text(table.get(key)) for table in tables)]
         for key in keys

@@ -18,6 +18,7 @@ from urllib.parse import quote
 from gensp.errors import DamagedFile, GenSPError, OutputError
 from gensp.files import read_json, write_json
 from gensp.layout import item_files, item_folder, lay_out
+from gensp.machine import note_peak_memory, process_name
 from gensp.sharing import ATTEMPTS, Packed, Workers, shared_out
 
 Row = dict[str, str | int | float | bool | None]
@@ -79,7 +80,7 @@ def run_items(
     for item in waiting:
         # A row that is found later is of this run.
         row_path(folder, item).unlink(missing_ok=True)
-    work = partial(partial, _run_item, Packed(task), folder)
+    work = partial(partial, _run_item, Packed(task), folder, process_name())
     found = partial(stored_row, folder)
     for item, row in shared_out(work, waiting, workers, ranks=ranks, found=found, what=folder):
         if row is not None:
@@ -116,7 +117,7 @@ def _given_up(folder: Path, item: str) -> Row:
     return row
 
 
-def _run_item(task: Task, folder: Path, item: str) -> Row:
+def _run_item(task: Task, folder: Path, asked_by: str, item: str) -> Row:
     with _one_thread():
         try:
             row = task(item)
@@ -124,6 +125,8 @@ def _run_item(task: Task, folder: Path, item: str) -> Row:
             raise
         except GenSPError as error:
             row = {"id": item, "error": str(error)}
+    if process_name() != asked_by:  # which tells its memory itself
+        note_peak_memory(folder)
     write_json(row_path(folder, item), row)
     return row
 

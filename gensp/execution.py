@@ -15,6 +15,7 @@ from gensp.machine import first_process, forget_peak_memory
 from gensp.restarts import Progress, begin
 from gensp.runs import Run
 from gensp.stages.callbacks import WholeCheckpoints
+from gensp.stages.memory import forget_gpu_memory
 from gensp.stages.session import (
     carry_out,
     close,
@@ -46,6 +47,7 @@ def execute(
     if cfg.stage.verb == "fit":
         require_fast(cfg.trainer.precision, cfg.compile)
     forget_peak_memory()
+    forget_gpu_memory()
     quiet()
     seed_everything(cfg.seed, workers=True, verbose=False)
     torch.set_num_threads(cfg.threads or threads())

@@ -5,6 +5,7 @@ import importlib.metadata
 import os
 import platform
 import resource
+import socket
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -103,6 +104,41 @@ def peak_memory() -> float:
     users = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     unit = 1 if platform.system() == "Darwin" else 1024
     return max(resource.getrusage(who).ru_maxrss for who in users) * unit / 2**30
+
+
+def own_peak_memory() -> float:
+    """Largest resident size of this process alone, in GiB."""
+    unit = 1 if platform.system() == "Darwin" else 1024
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+    return (_resident_peak("self") * 1024 or most) / 2**30
+
+
+def process_name() -> str:
+    """Name of this process among those of all machines that share a folder."""
+    return f"{socket.gethostname()}-{os.getpid()}"
+
+
+# Files of workers, hidden and so no results; a resumed run removes those of the killed one.
+_NOTED = ".memory-"
+
+
+def note_peak_memory(folder: Path) -> None:
+    """Leave the peak of this process in a folder, for whoever asked it to work there."""
+    # Best effort: what cannot be noted must not cost the item.
+    with contextlib.suppress(OSError):
+        path = folder / f"{_NOTED}{process_name()}"
+        path.write_text(f"{own_peak_memory():.6f}", encoding="ascii")
+
+
+def noted_peak_memories(folder: Path) -> list[float]:
+    """Take up what the workers have left, dead and replaced ones too: a peak of each, in GiB."""
+    found = []
+    for path in folder.glob(f"{_NOTED}*"):
+        # One that was killed while it wrote left no number.
+        with contextlib.suppress(OSError, ValueError):
+            found.append(float(path.read_text(encoding="ascii")))
+            path.unlink()
+    return found
 
 
 def _children() -> list[str]:

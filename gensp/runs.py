@@ -154,14 +154,14 @@ def seal(
     metrics
         Numbers the stage ended with, the headline first.
     facts
-        Whatever else should be remembered: seconds, hardware.
+        Whatever else should be remembered: seconds, hardware, memory of other processes.
     """
     manifest = {
         "stage": stage,
         "digest": content_hash(plain(settings)),
         "metrics": dict(metrics),
-        **facts,
         "peak_memory_gib": round(peak_memory(), 3),
+        **facts,
         **environment(),
         "settings": plain(settings),
         "files": write_list(folder),

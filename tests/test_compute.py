@@ -14,6 +14,7 @@ from trying import Trying
 
 from gensp.compute import Row, finished_row, row_path, run_items, stored_rows
 from gensp.errors import BadMesh, GenSPError, OutputError
+from gensp.machine import noted_peak_memories
 from gensp.restarts import tidy
 from gensp.sharing import WorkerDied, Workers, shared_out
 
@@ -204,3 +205,36 @@ def test_ranks_share_the_cores() -> None:
     assert Workers(8).count(ranks=2) == 4
     assert Workers(1).count(ranks=2) == 1
     assert Workers().count() == len(os.sched_getaffinity(0))
+
+
+@dataclass(frozen=True)
+class Large:
+    """Takes half a GiB for one item, after which its worker is killed at another."""
+
+    folder: Path
+    trying: Trying
+
+    def __call__(self, item: str) -> Row:
+        if item == "a":
+            block = bytearray(2**29)
+            return {"id": item, "bytes": len(block)}
+        return self.trying(item)
+
+
+def test_workers_tell_how_much_memory_they_took(tmp_path: Path) -> None:
+    """Also one that is dead when it is asked for; the rows are what they were."""
+    task = Large(tmp_path, Trying(tmp_path, once=("b@3",)))
+    with pytest.warns(UserWarning, match="a worker died"):
+        rows = list(run_items(task, ITEMS, tmp_path, Workers(1, isolated=True)))
+    assert {"id": "a", "bytes": 2**29} in rows
+    peaks = noted_peak_memories(tmp_path)
+    assert len(peaks) == len({row["process"] for row in rows if "process" in row}) + 1
+    assert 0.5 < max(peaks) < 2
+    assert min(peaks) < max(peaks) - 0.3
+    assert noted_peak_memories(tmp_path) == []
+
+
+def test_a_process_that_does_the_items_itself_notes_nothing(tmp_path: Path) -> None:
+    list(run_items(Mark(tmp_path), ITEMS, tmp_path, Workers(1)))
+    (tmp_path / ".memory-elsewhere-7").write_text("")
+    assert noted_peak_memories(tmp_path) == []

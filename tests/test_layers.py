@@ -22,7 +22,7 @@ ALLOWED = {
     "models": CORE | {"geometry"},
     "losses": CORE | {"geometry"},
     "sharing": CORE,
-    "compute": CORE | {"layout", "sharing"},
+    "compute": CORE | {"layout", "sharing", "machine"},
     "data": CORE | {"layout", "geometry", "compute", "sharing", "checksums"},
     "methods": CORE | {"geometry", "models", "data.clouds"},
     "pretrained": CORE | {"geometry", "methods", "models"},

@@ -22,6 +22,7 @@ from gensp.ranks import started_outside
 from gensp.runs import CHECKPOINT, Run, seal
 from gensp.stages.base import Stage
 from gensp.stages.logged import log_pictures
+from gensp.stages.memory import rank_memory
 from gensp.terminal import report, say
 
 _MEANT_TO_BE_SO = (
@@ -132,13 +133,15 @@ def conclude(
 ) -> float | None:
     """Rank zero merges and seals; the others wait, so that they find the manifest."""
     trainer.strategy.barrier("verb")
+    memory = rank_memory(trainer)
     if trainer.is_global_zero:
         metrics = module.finish()
         seconds = round(time.monotonic() - began, 3)
         facts = {
             "inputs": {name: run.outputs for name, run in inputs.items()},
             "seconds": seconds,
-            # Then the seconds are those of the last session alone.
+            **memory.facts(module.folder),
+            # Then seconds and memory are those of the last session alone.
             "resumed": resumed,
             "device": _device(trainer),
             "threads": torch.get_num_threads(),
