@@ -1,6 +1,5 @@
 """Whole methods on random meshes with slivers, area ratios and limbs that hang over."""
 
-import re
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -71,7 +70,7 @@ def refusal(name: str, mesh: Mesh) -> str:
 def test_no_method_folds_in_silence(name: str, mesh: Mesh) -> None:
     told = refusal(name, mesh)
     assert "\n" not in told
-    assert not told or re.search("finds no place on the sphere|faces stay folded after", told)
+    assert not told or "finds no place on the sphere" in told
 
 
 @pytest.mark.parametrize("name", METHODS)

@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float
 
 from gensp.errors import NotEmbeddable
-from gensp.geometry.certificate import place_of
 from gensp.geometry.embedding import embed
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.newton import Refined, refine_map
@@ -49,6 +48,9 @@ class NoRefinement:
 @dataclass(frozen=True)
 class NewtonRefinement:
     """Untangle the start, then minimise distortion without folding, pulled to the target.
+
+    The ladder: the start if it has no folds, the untangled start, else the hierarchical embedding
+    guided by the target, also where the start mirrors.
 
     Attributes
     ----------
@@ -93,7 +95,7 @@ class NewtonRefinement:
         Raises
         ------
         NotEmbeddable
-            The start could not be made free of folds, or the end is not certified.
+            The mesh has no map in double precision; the message names the place.
         """
         began = time.perf_counter()
         shape, u = normalize(mesh), unit(start)
@@ -136,6 +138,9 @@ class NewtonRefinement:
     ) -> tuple[Untangled, str]:
         """A map without folds to refine, and the rung of the ladder that it stands on."""
         found = self._untangled(mesh, u, folded=folded)
+        if found is None:
+            grown = embed(normalize(mesh), target=target, pull=pull)
+            return Untangled(grown, 0, True), HIERARCHICAL
         moved = UNTANGLED if folded else SPREAD
         return found, moved if found.rounds else PREDICTION
 
@@ -156,7 +161,10 @@ class NewtonRefinement:
             return refined, rung
         return (again, HIERARCHICAL) if again.energy < refined.energy else (refined, rung)
 
-    def _untangled(self, mesh: Mesh, u: Float[np.ndarray, "n 3"], *, folded: bool) -> Untangled:
+    def _untangled(
+        self, mesh: Mesh, u: Float[np.ndarray, "n 3"], *, folded: bool
+    ) -> Untangled | None:
+        """The start without folds and with degree 1, if untangling gets there."""
         areas = None if folded else mesh.face_areas
         for ring in self.rings:
             untangled = untangle(
@@ -164,15 +172,7 @@ class NewtonRefinement:
             )
             if untangled.clean and map_degree(untangled.sphere, mesh.faces) == 1:
                 return untangled
-        bad = bad_faces(untangled.sphere, mesh.faces)
-        first = f"; first: {place_of(mesh, int(np.argmax(bad)))}" if bad.any() else ""
-        raise NotEmbeddable(
-            f"{mesh.name}: {int(bad.sum())} of {len(mesh.faces)} faces stay folded after "
-            f"{untangled.rounds} rounds of untangling (degree of the start: "
-            f"{map_degree(u, mesh.faces)}{first}); a map without folds, of degree 1, is required; "
-            "take refine=certify, which embeds such a mesh anew, fit=register or a longer "
-            "training for a closer start, or keep the folded map with refine=none"
-        )
+        return None
 
     def _minimised(
         self,
@@ -198,10 +198,8 @@ class NewtonRefinement:
 class CertifiedRefinement(NewtonRefinement):
     """A map without folds from any start, pulled to the target as far as it can be trusted.
 
-    The ladder: the start if it has no folds, the untangled start if few faces are folded, else
-    the hierarchical embedding guided by the target, also where the start mirrors. So it works
-    where the prediction is folded, incomplete, or off by a limb's width, and what is handed out is
-    always certified.
+    Its ladder untangles where few faces are folded alone. So it works where the prediction is
+    folded, incomplete, or off by a limb's width.
 
     The last energy is that of `hierarchical.dirichlet`, which is what is reported. A limb is small
     on the sphere, so that a step there is a long way on the surface: γ grows with the root of how
@@ -236,22 +234,12 @@ class CertifiedRefinement(NewtonRefinement):
         pull = self.pull * np.sqrt(shrinking(target, mesh))
         return pull if trust is None else pull * trust
 
-    def _start(
-        self,
-        mesh: Mesh,
-        u: Float[np.ndarray, "n 3"],
-        target: Float[np.ndarray, "n 3"] | None,
-        pull: float | Float[np.ndarray, " n"],
-        *,
-        folded: bool,
-    ) -> tuple[Untangled, str]:
-        if bad_faces(u, mesh.faces).mean() <= self.untangle_up_to:
-            try:
-                return super()._start(mesh, u, target, pull, folded=folded)
-            except NotEmbeddable:
-                pass  # the next rung needs no start
-        grown = embed(normalize(mesh), target=target, pull=pull)
-        return Untangled(grown, 0, True), HIERARCHICAL
+    def _untangled(
+        self, mesh: Mesh, u: Float[np.ndarray, "n 3"], *, folded: bool
+    ) -> Untangled | None:
+        if bad_faces(u, mesh.faces).mean() > self.untangle_up_to:
+            return None
+        return super()._untangled(mesh, u, folded=folded)
 
     def _minimised(
         self,
