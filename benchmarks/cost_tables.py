@@ -58,6 +58,22 @@ def pair_table(rows: Sequence[Row]) -> list[str]:
     return lines
 
 
+def neighbour_table(rows: Sequence[Row]) -> list[str]:
+    """A line for every kind of codes: recall, weight of the tree, seconds."""
+    sizes = list(dict.fromkeys(row["codes"] for row in rows))
+    heads = ["codes", *(f"recall, {size:,}" for size in sizes), f"weight, {sizes[0]:,}"]
+    heads += [f"{what}, {size:,}" for what in ("neighbours", "tree") for size in sizes]
+    lines = [f"| {' | '.join([*heads, 'exponent'])} |", "|---|" + "---|" * len(heads)]
+    for kind in dict.fromkeys(row["kind"] for row in rows):
+        chosen = [row for row in rows if row["kind"] == kind]
+        cells = [kind, *(f"{row['recall']:.3f}" for row in chosen)]
+        cells += [f"{chosen[0]['weight'] / chosen[0]['least']:.4f}"]
+        cells += [plain(row[what]) for what in ("seconds", "tree_seconds") for row in chosen]
+        grows = exponent(sizes, [row["tree_seconds"] for row in chosen])
+        lines.append(f"| {' | '.join([*cells, f'{grows:.2f}'])} |")
+    return lines
+
+
 def augment_table(rows: Sequence[Row]) -> list[str]:
     """What one augmentation costs."""
     counts = [row["augmentations"] for row in rows]

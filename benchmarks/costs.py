@@ -2,6 +2,7 @@
 
 python benchmarks/costs.py measure --out costs      # minutes
 python benchmarks/costs.py pairs --out costs
+python benchmarks/costs.py neighbours --out costs --codes 8000 32000 128000
 python benchmarks/costs.py augment --out costs
 python benchmarks/costs.py evaluate --out costs
 python benchmarks/costs.py trainings --out costs --recipe paper --items 24000 --small
@@ -9,8 +10,9 @@ python benchmarks/costs.py table --out costs --picture docs/gallery/costs.png
 
 `measure` carries out every stage of experiment=smoke, with few epochs and one worker, on generated
 blobs: for each of `--counts` with the second of `--vertices`, and for all of these with the least
-count. `pairs` times what looks at pairs of shapes, complete and by neighbours. `augment` carries
-out that stage alone with `--samples` of every flow; `evaluate` that stage with more and more
+count. `pairs` times what looks at pairs of shapes, complete and by neighbours; `neighbours` tells
+how near these are to the nearest, see `neighbour_costs.py`. `augment` carries out that stage
+alone with `--samples` of every flow; `evaluate` that stage with more and more
 partners of every shape, by the numbers of recipe=paper; `trainings` takes steps of a recipe's own
 networks, see `training_costs.py`. Every figure is processor time of one thread, so that other work
 on the machine hardly counts. `table` prints the first two as Markdown. An exponent p is that of
@@ -30,12 +32,14 @@ from cost_tables import (
     augment_table,
     draw,
     evaluate_table,
+    neighbour_table,
     pair_table,
     show,
     stage_table,
     training_table,
 )
 from hydra import compose, initialize_config_dir
+from neighbour_costs import neighbours
 
 from gensp.files import read_json, write_json
 from gensp.geometry import neighbour_pairs
@@ -56,7 +60,7 @@ SHORT = (
     # Of a call that was interrupted nothing is kept: what is finished would cost nothing.
     *("force=true", "workers.jobs=1", "threads=1", "logger=none", "experiment=smoke"),
 )
-WORDS = ("measure", "pairs", "augment", "evaluate", "trainings", "table")
+WORDS = ("measure", "pairs", "neighbours", "augment", "evaluate", "trainings", "table")
 # Stage evaluate of recipe=paper.
 PAPER_PAIRS = ("recipe.evaluate.level=6", "recipe.evaluate.samples=10000")
 Row = dict[str, Any]
@@ -159,7 +163,8 @@ def pairs(out: Path) -> None:
     def note(what: str, count: int, work: Callable[[], object]) -> None:
         rows.append({"what": what, "shapes": count, "seconds": timed(work)})
 
-    for limit, counts in ((10**9, (500, 1000, 2000)), (0, (2000, 4000, 8000))):
+    spanning_tree(latent_codes(2100), 0)  # loops are compiled
+    for limit, counts in ((10**9, (500, 1000, 2000)), (0, (2000, 8000, 32000))):
         kind = "neighbours" if limit == 0 else "all pairs"
         trees.ALL_PAIRS = neighbour_pairs.ALL_PAIRS = limit
         for count in counts:
@@ -191,6 +196,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--counts", type=int, nargs="+", default=[4, 8, 16])
     parser.add_argument("--vertices", type=int, nargs="+", default=[300, 600, 1200, 2400])
+    parser.add_argument("--codes", type=int, nargs="+", default=[8000, 32000, 128000])
     parser.add_argument("--samples", type=int, nargs="+", default=[2, 6, 18])
     parser.add_argument("--partners", type=int, nargs="+", default=[2, 6, 15])
     parser.add_argument("--recipe", default="smoke")
@@ -203,6 +209,8 @@ def main() -> None:
         measure(out, given.counts, given.vertices)
     elif given.word == "pairs":
         pairs(out)
+    elif given.word == "neighbours":
+        show(neighbour_table(neighbours(out, given.codes)))
     elif given.word == "augment":
         augment(out, min(given.counts), sorted(given.vertices)[1], given.samples)
         show(augment_table(read_json(out / "augment.json")))

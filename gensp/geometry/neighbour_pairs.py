@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Complex, Float, Int
-from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
+from gensp.geometry.approximate_neighbours import approximate_neighbours
 from gensp.geometry.rotation_registration import register_rotation
 from gensp.geometry.spanning_tree import ALL_PAIRS
 
@@ -21,14 +21,18 @@ Pairs = set[tuple[int, int]]
 
 
 def nearest_pairs(codes: Float[np.ndarray, "k d"], count: int) -> Pairs:
-    """Unordered pairs of every code with its `count` nearest others."""
+    """Unordered pairs of every code with its `count` nearest others.
+
+    Above `ALL_PAIRS` codes these are nearly the nearest, see `approximate_neighbours`.
+    """
     count = min(count, len(codes) - 1)
     if len(codes) <= ALL_PAIRS:
         return _chosen(cdist(codes, codes), count)
-    # Twins of a code may come before itself.
-    near = cKDTree(codes).query(codes, k=count + 1)[1]
-    others = [[j for j in row if j != i][:count] for i, row in enumerate(near.tolist())]
-    return {(min(i, j), max(i, j)) for i, row in enumerate(others) for j in row}
+    near = approximate_neighbours(codes, count)
+    ends = np.stack([np.repeat(np.arange(len(codes)), count), near.ravel()])
+    low, high = np.sort(ends, axis=0)
+    found = np.divmod(np.unique(low * len(codes) + high), len(codes))
+    return set(zip(*(end.tolist() for end in found), strict=True))
 
 
 def star_pairs(codes: Float[np.ndarray, "k d"]) -> Pairs:

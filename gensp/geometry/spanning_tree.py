@@ -7,13 +7,15 @@ from typing import Any
 import numpy as np
 import scipy.sparse.csgraph as graph
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_matrix, csr_matrix, issparse
-from scipy.spatial import cKDTree
+from scipy.sparse import csr_matrix, issparse
 from scipy.spatial.distance import cdist
 
 from gensp.errors import Unsupported
+from gensp.geometry.approximate_neighbours import approximate_neighbours
+from gensp.geometry.bridges import bridges
 
 ALL_PAIRS = 2000  # codes up to which all pairs of them are looked at
+_BLOCK = 2**15  # edges that are measured at a time
 _NO_PARENT = -1
 
 
@@ -107,40 +109,34 @@ def _paths(distance: Any, root: int, kind: str) -> tuple[np.ndarray, np.ndarray]
 def latent_neighbours(
     codes: Float[np.ndarray, "k d"], root: int, *, count: int = 16, to_root: bool = False
 ) -> csr_matrix:
-    """Distances (k, k) of every code to its nearest others, as a connected sparse graph.
+    """Distances (k, k) of every code to nearly its nearest others, as a connected sparse graph.
 
-    Parts that hang together with the root in no other way are joined where they come nearest to
-    its part. Memory grows with k alone.
+    Parts that hang together in no other way are joined where they come nearest, see `bridges`.
+    Memory grows with k alone, time a little faster.
 
     Parameters
     ----------
     to_root
         Whether every code is joined to the root too.
     """
-    far, near = cKDTree(codes).query(codes, k=min(count + 1, len(codes)))
+    near = approximate_neighbours(codes, count)
     rows = np.repeat(np.arange(len(codes)), near.shape[1])
-    edges = [np.stack([rows, near.ravel()])]
-    found = coo_matrix((far.ravel() + 1, edges[0]), shape=(len(codes),) * 2)
-    edges.append(_bridges(codes, graph.connected_components(found, directed=False)[1], root))
+    edges = [np.stack([rows, near.ravel()]), bridges(codes, near)]
     if to_root:
         edges.append(np.stack([np.full(len(codes), root), np.arange(len(codes))]))
-    i, j = np.unique(np.sort(np.concatenate(edges, axis=1), axis=0), axis=1)
+    ends = np.sort(np.concatenate(edges, axis=1), axis=0)
+    i, j = np.divmod(np.unique(ends[0] * len(codes) + ends[1]), len(codes))
     i, j = i[i != j], j[i != j]
-    length = np.sqrt(np.square(codes[i] - codes[j]).sum(axis=1))
-    return csr_matrix((length, (i, j)), shape=(len(codes),) * 2)
+    return csr_matrix((_lengths(codes, i, j), (i, j)), shape=(len(codes),) * 2)
 
 
-def _bridges(
-    codes: Float[np.ndarray, "k d"], part: Int[np.ndarray, " k"], root: int
-) -> Int[np.ndarray, "2 e"]:
-    """One edge from every part but the root's to the root's part, where they come nearest."""
-    home, others = np.flatnonzero(part == part[root]), np.flatnonzero(part != part[root])
-    if len(others) == 0:
-        return np.zeros((2, 0), dtype=np.int64)
-    gap, at = cKDTree(codes[home]).query(codes[others])
-    nearest = np.lexsort((gap, part[others]))
-    chosen = nearest[np.unique(part[others][nearest], return_index=True)[1]]
-    return np.stack([others[chosen], home[at[chosen]]])
+def _lengths(
+    codes: Float[np.ndarray, "k d"], i: Int[np.ndarray, " e"], j: Int[np.ndarray, " e"]
+) -> Float[np.ndarray, " e"]:
+    """Distances between codes, some edges at a time: all their differences need much memory."""
+    parts = range(0, len(i), _BLOCK)
+    some = [(i[k : k + _BLOCK], j[k : k + _BLOCK]) for k in parts]
+    return np.concatenate([np.linalg.norm(codes[a] - codes[b], axis=1) for a, b in some])
 
 
 def _stored(cost: Any) -> Any:

@@ -198,7 +198,7 @@ class ImplicitStage(FitStage):
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Keep the level sets: they belong to networks that no longer exist."""
         super().on_save_checkpoint(checkpoint)
-        checkpoint["extracted"] = self.extracted
+        checkpoint["extracted"], checkpoint["renewed"] = self.extracted, self.table.renewed
         checkpoint["level_sets"] = [
             {"z": s.z, "points": s.points, "nodes": s.cover.nodes, "pairs": s.cover.pairs}
             for s in self.level_sets
@@ -208,6 +208,8 @@ class ImplicitStage(FitStage):
         """Go on with the level sets in use."""
         super().on_load_checkpoint(checkpoint)
         self.extracted = checkpoint["extracted"]
+        # Older checkpoints have none: the tree is spanned anew.
+        self.table.renewed = checkpoint.get("renewed", len(self.table.rows))
         self.level_sets = [
             LevelSet(s["z"], s["points"], Cover(s["nodes"], s["pairs"]))
             for s in checkpoint["level_sets"]

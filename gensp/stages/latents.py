@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from gensp.data.batches import Drawn, Rows
 from gensp.files import save_npz
-from gensp.geometry.spanning_tree import spanning_tree
+from gensp.geometry.spanning_tree import ALL_PAIRS, spanning_tree
 from gensp.models import Grouping, PointNet2Encoder
 from gensp.stages.groupings import Groupings
 
@@ -74,6 +74,7 @@ class CodeTable(nn.Module):
         self.rows = {id: row for row, id in enumerate(ids)}
         self.register_buffer("codes", torch.full((len(ids), latent), torch.nan))
         self.register_buffer("parent", torch.full((len(ids),), -1))
+        self.renewed = 0  # codes, that of S_0 apart, kept since the tree was spanned
 
     def of(self, ids: Sequence[str]) -> Float[Tensor, "b d"]:
         """Codes of the items."""
@@ -95,20 +96,29 @@ class CodeTable(nn.Module):
         rows = [self.rows[id] for id in ids]
         if total is None:
             self.codes[rows] = codes.detach()
+            self.renewed += sum(row > 0 for row in rows)
             return
         fresh, count = torch.zeros_like(self.codes), torch.zeros_like(self.codes[:, :1])
         fresh[rows], count[rows] = codes.detach(), 1
         fresh, count = total(fresh), total(count)
         # Only S_0 comes from several ranks, and is zero on all of them.
         self.codes.copy_(torch.where(count > 0, fresh / count.clamp(min=1), self.codes))
+        self.renewed += int((count[1:] > 0).sum())
 
     def join_neighbours(self) -> None:
-        """Span a minimum tree over the items seen so far, rooted at S_0, the first item."""
+        """Span a minimum tree over the items seen so far, rooted at S_0, the first item.
+
+        Of more than `ALL_PAIRS` items a tree is kept until as many codes have been renewed as it
+        would span, as in an epoch: trees then take much the same share of a step at any number.
+        """
         seen = self.codes.isfinite().all(dim=1).nonzero()[:, 0]
+        if len(seen) > ALL_PAIRS and self.renewed < len(seen) - 1:
+            return
         tree = spanning_tree(self.codes[seen].cpu().double().numpy(), root=0)
         parent = torch.from_numpy(tree.parent).to(seen.device)
         self.parent.fill_(-1)
         self.parent[seen] = torch.where(parent < 0, parent, seen[parent])
+        self.renewed = 0
 
     def join(self, parents: Mapping[str, str]) -> None:
         """Take the tree from elsewhere: item → parent; ancestors without a code are skipped."""
