@@ -2,7 +2,7 @@
 
 python benchmarks/costs.py measure --out costs      # minutes
 python benchmarks/costs.py pairs --out costs
-python benchmarks/costs.py neighbours --out costs --codes 8000 32000 128000
+python benchmarks/costs.py neighbours --out costs
 python benchmarks/costs.py augment --out costs
 python benchmarks/costs.py evaluate --out costs
 python benchmarks/costs.py trainings --out costs --recipe paper --items 24000 --small
@@ -39,7 +39,7 @@ from cost_tables import (
     training_table,
 )
 from hydra import compose, initialize_config_dir
-from neighbour_costs import neighbours
+from neighbour_costs import KINDS, neighbours
 
 from gensp.files import read_json, write_json
 from gensp.geometry import neighbour_pairs
@@ -197,6 +197,7 @@ def main() -> None:
     parser.add_argument("--counts", type=int, nargs="+", default=[4, 8, 16])
     parser.add_argument("--vertices", type=int, nargs="+", default=[300, 600, 1200, 2400])
     parser.add_argument("--codes", type=int, nargs="+", default=[8000, 32000, 128000])
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS), help="of codes")
     parser.add_argument("--samples", type=int, nargs="+", default=[2, 6, 18])
     parser.add_argument("--partners", type=int, nargs="+", default=[2, 6, 15])
     parser.add_argument("--recipe", default="smoke")
@@ -210,7 +211,7 @@ def main() -> None:
     elif given.word == "pairs":
         pairs(out)
     elif given.word == "neighbours":
-        show(neighbour_table(neighbours(out, given.codes)))
+        show(neighbour_table(neighbours(out, given.codes, given.kinds)))
     elif given.word == "augment":
         augment(out, min(given.counts), sorted(given.vertices)[1], given.samples)
         show(augment_table(read_json(out / "augment.json")))

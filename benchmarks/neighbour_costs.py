@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from gensp.files import write_json
+from gensp.geometry import spanning_tree as trees
 from gensp.geometry.approximate_neighbours import approximate_neighbours
 from gensp.geometry.spanning_tree import spanning_tree
 
@@ -48,7 +49,10 @@ def clusters(count: int, width: int) -> np.ndarray:
 def squares(codes: np.ndarray, some: np.ndarray) -> np.ndarray:
     """Squared distances of some codes to all."""
     lengths = np.square(codes).sum(axis=1)
-    found: np.ndarray = lengths[some, None] + lengths - 2 * codes[some] @ codes.T
+    found: np.ndarray = codes[some] @ codes.T
+    found *= -2
+    found += lengths
+    found += lengths[some, None]
     return found
 
 
@@ -63,41 +67,57 @@ def recall(codes: np.ndarray, near: np.ndarray) -> float:
 
 def least_weight(codes: np.ndarray) -> float:
     """Weight of the minimum tree of all pairs, one code after the other (Prim)."""
-    nearest, total = squares(codes, np.array([0]))[0], 0.0
+    gaps = squares(codes, np.arange(len(codes)))
+    nearest, total = gaps[0].copy(), 0.0
     nearest[0] = np.inf
-    outside = np.ones(len(codes), dtype=bool)
-    outside[0] = False
-    while outside.any():
-        here = int(np.where(outside, nearest, np.inf).argmin())
+    for _ in range(len(codes) - 1):
+        here = int(nearest.argmin())
         total += float(np.sqrt(max(nearest[here], 0)))
-        outside[here] = False
-        np.minimum(nearest, squares(codes, np.array([here]))[0], out=nearest)
+        # What has come in stays infinite.
+        nearest = np.where(np.isinf(nearest), np.inf, np.minimum(nearest, gaps[here]))
+        nearest[here] = np.inf
     return total
 
 
-def neighbours(out: Path, counts: Sequence[int]) -> list[Row]:
+class Kept:
+    """Neighbours as trees ask for them, with what they took."""
+
+    def __call__(self, codes: np.ndarray, count: int) -> np.ndarray:
+        """Find them."""
+        began = time.process_time()
+        self.near = approximate_neighbours(codes, count)
+        self.seconds = time.process_time() - began
+        return self.near
+
+
+def figures(codes: np.ndarray) -> Row:
+    """Processor seconds of a tree and of the neighbours within it, with the recall and weight."""
+    trees.approximate_neighbours = kept = Kept()
+    began = time.process_time()
+    tree = spanning_tree(codes, 0)
+    seconds = time.process_time() - began
+    weight = float(tree.weight.sum())
+    found = {"codes": len(codes), "seconds": kept.seconds, "tree_seconds": seconds}
+    return {**found, "recall": recall(codes, kept.near), "weight": weight}
+
+
+def neighbours(out: Path, counts: Sequence[int], kinds: Sequence[str]) -> list[Row]:
     """Write neighbours.json: seconds, recall and weight of every kind and number of codes."""
-    kinds: tuple[Callable[[int, int], np.ndarray], ...] = (normal, surface, clusters)
-    spanning_tree(normal(2100, 64), 0)  # loops are compiled
+    out.mkdir(parents=True, exist_ok=True)
+    spanning_tree(KINDS["normal"](2100, 64), 0)  # loops are compiled
     rows: list[Row] = []
     for kind, width in ((kind, width) for kind in kinds for width in (64, 256)):
         for count in counts:
-            rows.append({"kind": f"{kind.__name__}, {width}", **figures(kind(count, width))})
-            rows[-1]["least"] = least_weight(kind(count, width)) if count == min(counts) else None
+            codes = KINDS[kind](count, width)
+            row = {"kind": f"{kind}, {width}", **figures(codes)}
+            row["least"] = least_weight(codes) if count == min(counts) else None
+            rows.append(row)
             write_json(out / "neighbours.json", rows)
     return rows
 
 
-def figures(codes: np.ndarray) -> Row:
-    """Processor seconds of neighbours and of a tree, with the recall and the weight."""
-    began = time.process_time()
-    near = approximate_neighbours(codes, NEAREST)
-    middle = time.process_time()
-    tree = spanning_tree(codes, 0)
-    return {
-        "codes": len(codes),
-        "seconds": middle - began,
-        "tree_seconds": time.process_time() - middle,
-        "recall": recall(codes, near),
-        "weight": float(tree.weight.sum()),
-    }
+KINDS: dict[str, Callable[[int, int], np.ndarray]] = {
+    "surface": surface,
+    "clusters": clusters,
+    "normal": normal,
+}

@@ -1,7 +1,9 @@
 import numpy as np
+import pytest
 import torch
 
 from gensp.models import PointNet2Encoder
+from gensp.stages import latents
 from gensp.stages.latents import CloudCodes, CodeTable, draws
 
 
@@ -83,3 +85,53 @@ def test_a_shapes_code_is_the_mean_over_its_clouds() -> None:
     expected = (encoder(clouds[:, 0]) + encoder(clouds[:, 1])) / 2
     found = CloudCodes(encoder).all(ids, clouds)
     torch.testing.assert_close(found, expected - expected[:1])
+
+
+@pytest.fixture
+def four_are_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(latents, "ALL_PAIRS", 3)
+
+
+SHAPES = ["sphere", "a", "b", "c"]
+MOVED = torch.tensor([[0.0, 0], [5, 0], [9, 0], [7, 0]])  # c lies between a and b now
+
+
+def test_few_items_are_joined_anew_whenever_asked() -> None:
+    codes = table()
+    codes.join_neighbours()
+    codes.update(["sphere", "c"], MOVED[[0, 3]])
+    codes.join_neighbours()
+    assert codes.parent.tolist() == [-1, 0, 1, 2]
+    codes.update(["sphere", "b"], MOVED[[0, 2]])
+    codes.join_neighbours()
+    assert codes.parent.tolist() == [-1, 0, 3, 1]
+
+
+def test_many_items_are_joined_anew_once_all_have_been_renewed(four_are_many: None) -> None:
+    codes = table()
+    codes.join_neighbours()
+    assert codes.parent.tolist() == [-1, 0, 1, 2]
+    for row in (3, 1):
+        codes.update(["sphere", SHAPES[row]], MOVED[[0, row]])
+        codes.join_neighbours()
+        assert codes.parent.tolist() == [-1, 0, 1, 2]
+    codes.update(["sphere", "b"], MOVED[[0, 2]])
+    codes.join_neighbours()
+    assert codes.parent.tolist() == [-1, 0, 3, 1]
+
+
+def test_ranks_count_what_is_renewed_as_one_process_does(four_are_many: None) -> None:
+    one, several = table(), table()
+    for codes in (one, several):
+        codes.join_neighbours()
+    one.update(SHAPES, MOVED)
+    # Both ranks have S_0; the other has a.
+    other = torch.zeros(4, 2), torch.tensor([[1.0], [1], [0], [0]])
+    other[0][1] = MOVED[1]
+    others = iter(other)
+    several.update(["sphere", "b", "c"], MOVED[[0, 2, 3]], lambda mine: mine + next(others))
+    assert one.renewed == several.renewed == 3
+    for codes in (one, several):
+        codes.join_neighbours()
+        assert codes.parent.tolist() == [-1, 0, 3, 1]
+        assert codes.renewed == 0
