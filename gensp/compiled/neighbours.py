@@ -85,12 +85,12 @@ def join_ranges(codes, order, starts, near, far, born):
 
 
 @njit(cache=True)
-def _back_lists(near, far, born):
-    """Of every code the nearest of those in whose lists it is, and their rounds."""
-    back, gaps = np.full_like(near, -1), np.full_like(far, np.inf)
-    ages = np.zeros_like(born)
+def _back_lists(near, far, born, reach):
+    """Of every code the nearest `reach` of those in whose lists it is, and their rounds."""
+    back, gaps = np.full((len(near), reach), -1, near.dtype), np.full((len(near), reach), np.inf)
+    ages = np.zeros((len(near), reach), born.dtype)
     for i in range(len(near)):
-        for t in range(near.shape[1]):
+        for t in range(reach):
             j = near[i, t]
             if j >= 0:
                 _push(back, gaps, ages, j, i, far[i, t], born[i, t])
@@ -98,9 +98,9 @@ def _back_lists(near, far, born):
 
 
 @njit(cache=True)
-def _row(lists, dates, i, who, when, size):
-    """Append the list of i; the new size."""
-    for t in range(lists.shape[1]):
+def _row(lists, dates, i, reach, who, when, size):
+    """Append the first `reach` of the list of i; the new size."""
+    for t in range(reach):
         if lists[i, t] >= 0:
             who[size], when[size] = lists[i, t], dates[i, t]
             size += 1
@@ -108,26 +108,27 @@ def _row(lists, dates, i, who, when, size):
 
 
 @njit(cache=True)
-def refine(codes, near, far, born, now):
+def refine(codes, near, far, born, now, reach):
     """Compare every code with the neighbours of its neighbours, both ways; how many came in.
 
-    Only ways that have changed since round `now` - 1 are walked.
+    Of every list the nearest `reach` are walked, and only by ways new since round `now` - 1.
     """
-    back, ages = _back_lists(near, far, born)
+    back, ages = _back_lists(near, far, born, reach)
     seen = np.full(len(near), -1, np.int64)
-    around, since = np.empty(2 * near.shape[1], np.int64), np.empty(2 * near.shape[1], np.int64)
+    around, since = np.empty(2 * reach, np.int64), np.empty(2 * reach, np.int64)
     beyond, after = np.empty_like(around), np.empty_like(since)
     came = 0
     for i in range(len(near)):
-        size = _row(near, born, i, around, since, 0)
         seen[i] = i
+        for t in range(near.shape[1]):
+            if near[i, t] >= 0:
+                seen[near[i, t]] = i
+        size = _row(near, born, i, reach, around, since, 0)
+        size = _row(back, ages, i, reach, around, since, size)
         for s in range(size):
-            seen[around[s]] = i
-        size = _row(back, ages, i, around, since, size)
-        for s in range(size):
-            reach = _row(near, born, around[s], beyond, after, 0)
-            reach = _row(back, ages, around[s], beyond, after, reach)
-            for t in range(reach):
+            more = _row(near, born, around[s], reach, beyond, after, 0)
+            more = _row(back, ages, around[s], reach, beyond, after, more)
+            for t in range(more):
                 j = beyond[t]
                 if seen[j] != i and max(since[s], after[t]) >= now - 1:
                     seen[j] = i

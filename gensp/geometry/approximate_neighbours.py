@@ -14,6 +14,7 @@ from gensp.compiled.neighbours import join_ranges, refine, sort_ranges
 _TREES = 8
 _LEAF = 64  # codes of a leaf at most, unless the lists are longer
 _LENGTH = 16  # of a list at least while searching, however few are asked for
+_REACH = 16  # of a list whose own neighbours are tried, the nearest
 _ROUNDS = 6
 _SETTLED = 0.01  # share of the lists' entries that a round may bring in and be the last
 
@@ -78,7 +79,7 @@ def _search(
         order = _leaves(codes, depth, rng) if tree else np.arange(len(codes))
         join_ranges(codes, order, _starts(len(codes), depth), near, far, born)
     for now in range(1, _ROUNDS + 1 if depth else 1):
-        if refine(codes, near, far, born, now) <= _SETTLED * near.size:
+        if refine(codes, near, far, born, now, min(length, _REACH)) <= _SETTLED * near.size:
             break
     return near
 

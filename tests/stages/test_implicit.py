@@ -14,6 +14,7 @@ from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.sphere import icosphere
 from gensp.models import ImplicitField, PointNet2Encoder, load_model
 from gensp.sharing import Workers
+from gensp.stages import latents
 from gensp.stages.implicit import ImplicitStage, LevelSetSampling
 
 
@@ -93,15 +94,15 @@ def test_stage_leaves_networks_codes_and_history(tmp_path: Path) -> None:
     assert "train/deformation" not in stage.history[0]
     assert stage.history[-1]["train/level_set_share"] == 1
     stage.finish()
-    latents = load_npz(tmp_path / "latents.npz")
-    assert latents["ids"].tolist() == ["sphere", "ellipsoid0", "ellipsoid1"]
-    assert (latents["codes"][0] == 0).all()
+    stored = load_npz(tmp_path / "latents.npz")
+    assert stored["ids"].tolist() == ["sphere", "ellipsoid0", "ellipsoid1"]
+    assert (stored["codes"][0] == 0).all()
     networks = load_model(tmp_path / "model.pt")
     assert networks.keys() == {"encoder", "field"}
     assert networks["encoder"].settings["points"] == 128
     assert networks["encoder"].settings["draws"] == 1
     codes = networks["encoder"](data.clouds[:, 0]).detach().numpy()
-    np.testing.assert_allclose(codes, latents["codes"], atol=1e-5)
+    np.testing.assert_allclose(codes, stored["codes"], atol=1e-5)
     assert (tmp_path / "history.csv").read_text().count("\n") == 4
 
 
@@ -115,6 +116,20 @@ def test_resumed_training_equals_uninterrupted(tmp_path: Path) -> None:
     assert resumed.history == whole.history
     state = whole.state_dict()
     assert all(torch.equal(value, state[key]) for key, value in resumed.state_dict().items())
+
+
+def test_a_tree_of_many_items_is_spanned_anew_where_it_would_have_been(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Three steps renew all six; the checkpoint lies between two trees.
+    monkeypatch.setattr(latents, "ALL_PAIRS", 3)
+    keep = ModelCheckpoint(dirpath=tmp_path, filename="{epoch}", save_top_k=-1)
+    whole = fit(implicit_stage(tmp_path), sdf_module(tmp_path, 6), 3, callbacks=[keep])
+    path = tmp_path / "epoch=1.ckpt"
+    resumed = fit(implicit_stage(tmp_path), sdf_module(tmp_path, 6), 3, ckpt_path=path)
+    assert torch.load(path, weights_only=True)["renewed"] == 4
+    assert resumed.history == whole.history
+    assert torch.equal(resumed.table.parent, whole.table.parent)
 
 
 @pytest.mark.parametrize("penalize", ["latents", "weights"])
