@@ -145,8 +145,8 @@ def draw(rows: Sequence[Row], pair_rows: Sequence[Row], path: Path) -> None:
     for panel in panels:
         decade_ticks(panel.xaxis)
         decade_ticks(panel.yaxis)
-    for panel in panels[[0, 2]]:
-        panel.legend(fontsize=7)
+    for panel, corner in ((panels[0], "upper left"), (panels[2], "lower right")):
+        panel.legend(fontsize=7, loc=corner)
     save_figure(drawing, path)
 
 
