@@ -36,7 +36,8 @@ class LevelSetSampling:
     resolution
         Cells of the marching cubes grid.
     kept, every
-        Number of level sets kept at a time, and training steps between two extractions.
+        Number of level sets kept at a time, and training steps between two extractions. The tree
+        that their codes are drawn from may be older, see `CodeTable.join_neighbours`.
     """
 
     vertices: int = 2000
