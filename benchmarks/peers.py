@@ -7,13 +7,16 @@ MESHES holds collections, `<collection>/meshes/<shape>.ply`. The first CSV has t
 mesh (`<collection>/<shape>`), method, vertices, iso_mean, iso_max, con_mean, con_max. Every mesh
 is mapped that has a figure of any program compared with and no more than --largest vertices.
 Every map must be bijective. The CSV has ours and theirs of every mesh and method, written as they
-come; printed are the same as a Markdown table, and the quantiles of the ratios ours/theirs.
+come; printed are the same as a Markdown table, the quantiles of the ratios ours/theirs, and on how
+many meshes two methods come in the same order as their programs. With --read nothing is measured;
+the rows are those of --csv.
 """
 
 import argparse
 import csv
 import sys
 import time
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -102,6 +105,29 @@ def quantiles(rows: list[Row]) -> list[str]:
     return lines
 
 
+def orders(rows: list[Row]) -> list[str]:
+    """On how many meshes the better of two methods is the one whose program is the better."""
+    lines = ["| methods | figure | same order |", "|---|---|--:|"]
+    known = {(row["mesh"], row["method"]): row for row in rows if row["iso_mean_theirs"]}
+    for pair in combinations([name for name, program in PROGRAMS.items() if program], 2):
+        meshes = [m for m in {m for m, _ in known} if all((m, name) in known for name in pair)]
+        for column, symbol in zip(COLUMNS, SYMBOLS, strict=True):
+            same = [
+                _first_is_less(known, mesh, pair, column)
+                == _first_is_less(known, mesh, pair, f"{column}_theirs")
+                for mesh in meshes
+            ]
+            lines.append(f"| {', '.join(pair)} | {symbol} | {sum(same)} of {len(same)} |")
+    return lines if len(lines) > 2 else []
+
+
+def _first_is_less(
+    known: dict[tuple[str, str], Row], mesh: str, pair: tuple[str, ...], column: str
+) -> bool:
+    one, two = (float(known[mesh, name][column]) for name in pair)
+    return one < two
+
+
 def main() -> None:
     """Measure every method on every mesh, one after the other."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -114,7 +140,13 @@ def main() -> None:
     parser.add_argument("--angle", type=float, default=100.0, help="of smat (default: 100)")
     parser.add_argument("--area", type=float, default=1.0, help="of smat (default: 1)")
     parser.add_argument("--csv", type=Path, help="file for the figures of every mesh")
+    parser.add_argument("--read", action="store_true", help="rows of --csv; measure nothing")
     given = parser.parse_args()
+    if given.read:
+        if given.csv is None:
+            parser.error("--read: --csv FILE is required, a file that this script wrote")
+        report(read(given.csv))
+        return
     figures = published(given.figures)
     names = given.meshes or comparable(figures, given.largest)
     work = [(method, name) for method in given.methods for name in names]
@@ -128,7 +160,22 @@ def main() -> None:
         rows.append(measured(given.folder, name, method, figures, mappings[method]))
         if given.csv:
             save(rows, given.csv)
-    sys.stdout.write("\n".join([HEAD, *map(line, rows), "", *quantiles(rows), ""]))
+    report(rows)
+
+
+def report(rows: list[Row]) -> None:
+    """Print the tables."""
+    tables = [HEAD, *map(line, rows), "", *quantiles(rows), "", *orders(rows)]
+    sys.stdout.write("\n".join([*tables, ""]))
+
+
+def read(path: Path) -> list[Row]:
+    """The rows that `save` wrote."""
+    with path.open(newline="", encoding="utf-8") as file:
+        return [
+            row | {name: float(row[name]) for name in (*COLUMNS, "seconds")}
+            for row in csv.DictReader(file)
+        ]
 
 
 def save(rows: list[Row], path: Path) -> None:
