@@ -46,8 +46,7 @@ def execute(
     began = time.monotonic()
     if cfg.stage.verb == "fit":
         require_fast(cfg.trainer.precision, cfg.compile)
-    forget_peak_memory()
-    forget_gpu_memory()
+    _forget_peaks()
     quiet()
     seed_everything(cfg.seed, workers=True, verbose=False)
     torch.set_num_threads(cfg.threads or threads())
@@ -75,6 +74,11 @@ def execute(
             )
     finally:
         close(trainer.loggers)
+
+
+def _forget_peaks() -> None:
+    forget_peak_memory()
+    forget_gpu_memory()
 
 
 def _begin(cfg: DictConfig, folder: Path, settings: Mapping[str, Any], state: Progress) -> None:
