@@ -20,24 +20,19 @@ VALENCES = (250, 500, 1000, 2000, 4000)
 
 
 def cylinder(valence: int, rings: int) -> Mesh:
-    """A cylinder of diameter and height 2, its caps fans of `valence` triangles."""
+    """A cylinder of radius 1 and height 2; the last two vertices have `valence` neighbours."""
     angles = 2 * np.pi * np.arange(valence) / valence
     rim = np.column_stack([np.cos(angles), np.sin(angles)])
     heights = np.repeat(np.linspace(-1, 1, rings), valence)
-    side = np.column_stack([np.tile(rim, (rings, 1)), heights])
-    here = np.arange(valence * (rings - 1))
-    turned = np.where(here % valence == valence - 1, here + 1 - valence, here + 1)
-    quads = [[here, turned, turned + valence], [here, turned + valence, here + valence]]
-    bottom, top = len(side), len(side) + 1
-    low, high = here[:valence], here[:valence] + valence * (rings - 1)
-    onward = turned[:valence]
-    fans = [
-        [np.full(valence, bottom), onward, low],
-        [np.full(valence, top), high, onward + valence * (rings - 1)],
-    ]
+    vertices = np.column_stack([np.tile(rim, (rings, 1)), heights])
+    below = np.arange(valence * (rings - 1))
+    onward = below + np.where(below % valence == valence - 1, 1 - valence, 1)
+    quads = [[below, onward, onward + valence], [below, onward + valence, below + valence]]
+    low, beside, up = below[:valence], onward[:valence], valence * (rings - 1)
+    foot = np.full(valence, len(vertices))
+    fans = [[foot, beside, low], [foot + 1, low + up, beside + up]]
     faces = np.concatenate([np.column_stack(part) for part in quads + fans])
-    vertices = np.concatenate([side, [[0, 0, -1.0], [0, 0, 1.0]]])
-    return Mesh(vertices, faces, f"fans of {valence}")
+    return Mesh(np.concatenate([vertices, [[0, 0, -1.0], [0, 0, 1.0]]]), faces, "cylinder")
 
 
 def main() -> None:

@@ -132,14 +132,27 @@ def _renew(v, heap, shape, between, around, version, independent):
 
 
 @njit(cache=True)
-def _collapsed(h, around, size, shape, between):
-    """Collapse h, whose origin has the ring around[:size]."""
+def _renew_ring(around, size, heap, shape, between, other, version, independent):
+    """Replace what the heap says of around[:size]; in an independent set they have to wait."""
+    for k in range(size):
+        if independent:
+            version[around[k]] += 1
+        else:
+            _renew(around[k], heap, shape, between, other, version, independent)
+
+
+@njit(cache=True)
+def _collapsed(h, around, shape, between):
+    """Collapse h where the link condition holds; gives the size of the ring, or 0."""
     _, q, origin, twin, leaving, valence, hub = shape
-    v = origin[h]
+    v, size = origin[h], ring(h, origin, twin, around)
+    if not _linked(around, size, origin, twin, leaving, hub, between):
+        return 0
     collapse(h, origin, twin, leaving)
     account(around, size, origin, twin, leaving, valence, hub, between)
     for k in range(10):
         q[around[0], k] += q[v, k]
+    return size
 
 
 @njit(cache=True)
@@ -154,11 +167,9 @@ def collapse_all(
     """
     n, most = len(x), HUB
     around, other = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
-    version, valence = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
-    order = np.empty(max(n - BASE, 0), dtype=np.int64)
-    sets = np.zeros(len(order), dtype=np.int64)
-    hub, between = np.zeros(n, dtype=np.bool_), set(order[:0])
-    find_hubs(origin, twin, leaving, valence, hub, between)
+    order, version = np.empty(max(n - BASE, 0), dtype=np.int64), np.zeros(n, dtype=np.int64)
+    sets, between = np.zeros_like(order), set(order[:0])
+    valence, hub = find_hubs(origin, twin, leaving, between)
     shape = (x, q, origin, twin, leaving, valence, hub)
     heap = _candidates(shape, between, around, version, most, independent)
     done, first, current = 0, 0, 0
@@ -175,18 +186,13 @@ def collapse_all(
             continue
         if made != version[v]:
             continue
-        size = ring(h, origin, twin, around)
-        if not _linked(around, size, origin, twin, leaving, hub, between):
+        size = _collapsed(h, around, shape, between)
+        if size == 0:
             # The tip has got new neighbours meanwhile.
             _renew(v, heap, shape, between, other, version, independent)
             continue
-        _collapsed(h, around, size, shape, between)
         version[v] = -1
         order[done], sets[done] = h, current
         done += 1
-        for k in range(size):
-            if independent:
-                version[around[k]] += 1
-            else:
-                _renew(around[k], heap, shape, between, other, version, independent)
+        _renew_ring(around, size, heap, shape, between, other, version, independent)
     return order[:done], sets[:done]

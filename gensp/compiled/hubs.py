@@ -35,19 +35,17 @@ def _enlist(v, origin, twin, leaving, hub, between):
 
 @njit(cache=True)
 def find_hubs(
-    origin: np.ndarray,
-    twin: np.ndarray,
-    leaving: np.ndarray,
-    valence: np.ndarray,
-    hub: np.ndarray,
-    between: set[int],
-) -> None:
-    """Count all neighbours, and enlist the hubs."""
+    origin: np.ndarray, twin: np.ndarray, leaving: np.ndarray, between: set[int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Valences, and which vertices are hubs; pairs of these are put into `between`."""
+    valence = np.zeros(len(leaving), dtype=np.int64)
+    hub = np.zeros(len(leaving), dtype=np.bool_)
     for h in range(len(origin)):
         valence[origin[h]] += 1
     for v in range(len(valence)):
         if valence[v] > HUB:
             _enlist(v, origin, twin, leaving, hub, between)
+    return valence, hub
 
 
 @njit(cache=True)

@@ -17,7 +17,7 @@ from gensp.methods.hierarchical import dirichlet
 
 
 def joined_tips(valence):
-    """A flat double fan with joined tips: what moves a vertex into one makes an edge twice."""
+    """A flat double fan, its tips joined: a vertex moved into one makes an edge twice."""
     mesh = bipyramid(valence)
     last = valence - 1
     faces = mesh.faces.copy()
