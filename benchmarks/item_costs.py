@@ -7,9 +7,10 @@ with trainings of a few steps of few points: what a network costs does not depen
 and as the unit sphere plus something the field has level sets from the start. Then every kind of
 item is done by its own task, as the stages do it, with the recipe's networks and numbers; only the
 ladder of an edge ends at its first rung. Edges lead from one head to another, both of `--vertices`
-vertices; meshes of fewer (`--sizes`) are joined too, and an exponent is fitted. Maps begin from
-what so short a training predicts, so that Newton has more to do than after a whole one. Every
-figure is processor time of one thread; a first item, which loads what is compiled, counts in none.
+vertices; meshes of fewer (`--sizes`) are joined too, and an exponent is fitted. Of the level sets
+between them one is made: what it adds is to be taken as often as the recipe asks for. Maps begin
+from what so short a training predicts, so that Newton has more to do than after a whole one. Every
+figure is processor time of one thread; loading what is compiled counts in none.
 """
 
 import argparse
@@ -28,7 +29,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
 
 from gensp.configuration import made, placed
-from gensp.files import read_json, write_json
+from gensp.files import write_json
 from gensp.geometry.mesh import Mesh, load_mesh, save_mesh, simplify
 from gensp.run import run
 from gensp.runs import Run
@@ -76,11 +77,13 @@ class Bench:
         place = (f"paths.runs={self.out / 'runs'}", f"paths.cache={self.out / 'cache'}")
         name = (f"name={self.recipe}-{kind}", f"recipe={self.recipe}", f"correspond={kind}")
         made_once = self.folder("tree")
+        # What leads maps of fit=guided is the surface that all share: a single epoch will do.
+        brief = ("recipe.initialize.epochs=1",)
         shared = [f"inputs.{name}={made_once / name}" for name in ("augment", "implicit")]
         return [
             f"stage={stage}",
             *(*name, *shapes, *place, *few),
-            *(shared if kind == "paired" else ()),
+            *((*shared, *brief) if kind == "paired" else ()),
             *more,
         ]
 
@@ -117,13 +120,13 @@ class Bench:
         return known | {"finetune": Run(self.folder(kind) / "finetune")}
 
     def edges(self, sizes: Sequence[int]) -> list[Row]:
-        """Seconds of one edge, without level sets at every size, with them at the last."""
+        """Seconds of one edge, without level sets at every size, with one of them at the last."""
         cfg = self.configured(*self.words("correspond", "tree"))
         folder = self.out / f"{self.recipe}-edges"
         task = made(cfg.correspond.task, inputs=self.inputs("tree"), folder=folder)
-        count = task.ladder[0].interpolants
         rows = [edge(task, 0, size) for size in (sizes[0], *sizes)]
-        rows += [edge(task, count, sizes[-1])] if count else []
+        if task.ladder[0].interpolants:
+            rows.append(edge(task, 1, sizes[-1]))
         return rows[1:]  # what the first compiles counts in none
 
     def pairs(self) -> list[Row]:
@@ -134,9 +137,10 @@ class Bench:
         task = made(cfg.correspond.task, inputs=self.inputs("paired"), folder=folder)
         guides = [timed(partial(task.shape, id))[1] for id in task.ids]
         seconds = timed(lambda: task("/".join(task.ids[1:3])))[1]
+        size = {"vertices": len(task.shape(task.ids[1]).mesh.vertices)}
         return [
-            {"what": "own map of an input", "vertices": self.vertices, "seconds": guides[1]},
-            {"what": "pair, both ways", "vertices": self.vertices, "seconds": seconds},
+            {"what": "own map of an input", **size, "seconds": guides[1]},
+            {"what": "pair, both ways", **size, "seconds": seconds},
         ]
 
     def maps(self, kind: str, fits: Sequence[str]) -> list[Row]:
@@ -147,8 +151,6 @@ class Bench:
             folder = self.out / f"{self.recipe}-maps" / f"{fit}-{refine}"
             cfg = self.configured(*words)
             task = made(cfg.data, inputs=self.inputs(kind), folder=folder).task
-            if not rows:  # what is loaded first counts in none
-                task(task.collection.ids("train")[0])
             seconds = task(task.collection.ids("test")[0])["processor_seconds"]
             row = {"what": f"map, fit={fit} refine={refine}", "vertices": self.vertices}
             rows.append({**row, "seconds": seconds})
@@ -173,8 +175,9 @@ def edge(task: RegisterEdge, interpolants: int, size: int) -> Row:
     sized = SizedEdge(**{**given, "ladder": (rung,)}, size=size)
     parent, child = [id for id in task.shapes.ids if is_input(id)][:2]
     row, seconds = timed(lambda: sized.join(child, parent))
-    what = f"edge, {row['interpolants']} level sets" if interpolants else "edge, no level set"
-    return {"what": what, "vertices": size, "seconds": seconds}
+    what = f"edge, {row['interpolants']} level set" if interpolants else "edge, no level set"
+    # A recipe hands on meshes of a size of its own, which may be smaller.
+    return {"what": what, "vertices": len(sized.mesh(child).vertices), "seconds": seconds}
 
 
 def timed(work: Callable[[], Any]) -> tuple[Any, float]:
@@ -197,32 +200,29 @@ def table(rows: Sequence[Row]) -> list[str]:
 
 
 def main() -> None:
-    """Measure what is not yet known, and print the table."""
+    """Measure the parts and print their tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--recipe", default="paper")
     parser.add_argument("--vertices", type=int, default=5000)
     parser.add_argument("--sizes", type=int, nargs="+", help="of edges; the last is --vertices")
+    parser.add_argument("--parts", nargs="+", choices=("edges", "maps", "pairs", "guided"))
     given = parser.parse_args()
     torch.set_num_threads(1)
     bench = Bench(given.out.resolve(), given.recipe, given.vertices)
     sizes = given.sizes or [given.vertices // 4, given.vertices // 2, given.vertices]
-    path = bench.out / f"{given.recipe}-{given.vertices}.json"
     bench.collect()
-    rows: dict[str, list[Row]] = read_json(path) if path.is_file() else {}
     parts = {
         "edges": lambda: bench.edges(sizes),
         "maps": lambda: bench.maps("tree", ("none", "register")),
         "pairs": bench.pairs,
         "guided": lambda: bench.maps("paired", ("guided",)),
     }
-    for name, measure in parts.items():
-        if name not in rows:
-            bench.prepare("tree" if name in ("edges", "maps") else "paired")
-            rows[name] = measure()
-            write_json(path, rows)
-            show(table(rows[name]))
-    show(table([row for part in rows.values() for row in part]))
+    for name in given.parts or parts:
+        bench.prepare("tree" if name in ("edges", "maps") else "paired")
+        rows = parts[name]()
+        write_json(bench.out / f"{given.recipe}-{given.vertices}-{name}.json", rows)
+        show(table(rows))
 
 
 if __name__ == "__main__":
