@@ -219,7 +219,7 @@ def main() -> None:
         "guided": lambda: bench.maps("paired", ("guided",)),
     }
     for name in given.parts or parts:
-        bench.prepare("tree" if name in ("edges", "maps") else "paired")
+        bench.prepare("paired" if name == "guided" else "tree")
         rows = parts[name]()
         write_json(bench.out / f"{given.recipe}-{given.vertices}-{name}.json", rows)
         show(table(rows))
