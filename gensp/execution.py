@@ -11,11 +11,11 @@ from omegaconf import DictConfig, OmegaConf
 
 from gensp.configuration import made, placed
 from gensp.files import write_text
-from gensp.machine import first_process, forget_peak_memory
+from gensp.machine import first_process
 from gensp.restarts import Progress, begin
 from gensp.runs import Run
 from gensp.stages.callbacks import WholeCheckpoints
-from gensp.stages.memory import forget_gpu_memory
+from gensp.stages.memory import forget_memory
 from gensp.stages.session import (
     carry_out,
     close,
@@ -46,7 +46,7 @@ def execute(
     began = time.monotonic()
     if cfg.stage.verb == "fit":
         require_fast(cfg.trainer.precision, cfg.compile)
-    _forget_peaks()
+    forget_memory()
     quiet()
     seed_everything(cfg.seed, workers=True, verbose=False)
     torch.set_num_threads(cfg.threads or threads())
@@ -74,11 +74,6 @@ def execute(
             )
     finally:
         close(trainer.loggers)
-
-
-def _forget_peaks() -> None:
-    forget_peak_memory()
-    forget_gpu_memory()
 
 
 def _begin(cfg: DictConfig, folder: Path, settings: Mapping[str, Any], state: Progress) -> None:

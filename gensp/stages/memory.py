@@ -7,7 +7,7 @@ import torch
 from lightning import Trainer
 from torch import Tensor
 
-from gensp.machine import noted_peak_memories, own_peak_memory, peak_memory
+from gensp.machine import forget_peak_memory, noted_peak_memories, own_peak_memory, peak_memory
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,9 @@ class RankMemory:
         return found | ({"peak_gpu_memory_gib": round(self.gpu, 3)} if self.gpu else {})
 
 
-def forget_gpu_memory() -> None:
-    """Let peaks of GPUs tell of what comes after; one that was not used has none."""
+def forget_memory() -> None:
+    """Let all peaks tell of what comes after; a GPU that was not used has none."""
+    forget_peak_memory()
     if torch.cuda.is_initialized():
         for device in range(torch.cuda.device_count()):
             torch.cuda.reset_peak_memory_stats(device)
