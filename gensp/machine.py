@@ -133,7 +133,8 @@ def note_peak_memory(folder: Path) -> None:
 def noted_peak_memories(folder: Path) -> list[float]:
     """Take up what the workers have left, dead and replaced ones too: a peak of each, in GiB."""
     found = []
-    for path in folder.glob(f"{_NOTED}*"):
+    # Further rounds of a stage have folders of their own; others hold a file for every item.
+    for path in (*folder.glob(f"{_NOTED}*"), *folder.glob(f"rounds/*/{_NOTED}*")):
         # One that was killed while it wrote left no number.
         with contextlib.suppress(OSError, ValueError):
             found.append(float(path.read_text(encoding="ascii")))

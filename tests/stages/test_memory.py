@@ -16,7 +16,9 @@ from gensp.stages.memory import RankMemory, rank_memory
 
 def test_the_largest_process_and_the_sum_of_all(tmp_path: Path) -> None:
     (tmp_path / ".memory-node1-17").write_text("900.5")
-    (tmp_path / ".memory-node2-17").write_text("100.25")
+    rounds = tmp_path / "rounds" / "1"
+    rounds.mkdir(parents=True)
+    (rounds / ".memory-node2-17").write_text("100.25")
     found = RankMemory(largest=40.0, others=60.0, gpu=0.0).facts(tmp_path)
     assert found["peak_memory_gib"] == 900.5
     assert found["peak_memory_sum_gib"] == pytest.approx(1060.75 + own_peak_memory(), abs=0.01)
