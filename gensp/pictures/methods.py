@@ -167,5 +167,5 @@ def _curves(panel: "Axes", methods: Sequence[MethodFigures]) -> None:
     panel.set_xscale("log")
     decade_ticks(panel.xaxis)
     panel.set(xlabel="largest σ of a shape", ylabel="share of shapes below", ylim=(0, 1.02))
-    panel.set_xlim(right=1.1 * max(ends, default=_LARGEST))
+    panel.set_xlim(1, 1.1 * max(ends, default=_LARGEST))  # no σ is below 1
     plain(panel, legend=False)
