@@ -120,6 +120,8 @@ def process_name() -> str:
 
 # Files of workers, hidden and so no results; a resumed run removes those of the killed one.
 _NOTED = ".memory-"
+# Where workers leave them in a stage's folder; all others may hold a file for every item.
+_PLACES = ("", "alternatives/", "rounds/*/", "settled/")
 
 
 def note_peak_memory(folder: Path) -> None:
@@ -133,8 +135,7 @@ def note_peak_memory(folder: Path) -> None:
 def noted_peak_memories(folder: Path) -> list[float]:
     """Take up what the workers have left, dead and replaced ones too: a peak of each, in GiB."""
     found = []
-    # Further rounds of a stage have folders of their own; others hold a file for every item.
-    for path in (*folder.glob(f"{_NOTED}*"), *folder.glob(f"rounds/*/{_NOTED}*")):
+    for path in (path for place in _PLACES for path in folder.glob(f"{place}{_NOTED}*")):
         # One that was killed while it wrote left no number.
         with contextlib.suppress(OSError, ValueError):
             found.append(float(path.read_text(encoding="ascii")))

@@ -14,6 +14,7 @@ from gensp.files import load_npz, read_json, save_npz, write_json
 from gensp.geometry.distance import closest_point
 from gensp.geometry.mesh import Mesh, normalize
 from gensp.geometry.sphere import icosphere
+from gensp.machine import noted_peak_memories
 from gensp.runs import Run
 from gensp.sharing import Workers
 from gensp.stages.correspond import CorrespondStage
@@ -177,6 +178,7 @@ def test_other_parents_are_tried_by_the_workers(inputs: dict[str, Run], tmp_path
     stage = run(inputs, shared)
     stage.workers = Workers(jobs=2)
     stage.finish()
+    assert noted_peak_memories(shared)  # they are taken up when the folder is sealed
     assert different(alone, shared) == []
     tried = {path.stem for path in (shared / "alternatives" / "rows").iterdir()}
     assert tried == {"a@1%2Fsphere", "a%2Fa@0", "a%2Fsphere"}
