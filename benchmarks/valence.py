@@ -8,31 +8,19 @@ vertices whatever the valence: processor seconds of one core, after compilation.
 
 import argparse
 import sys
+from pathlib import Path
 
 import numpy as np
 from growth import measured, slope
 
-from gensp.geometry.mesh import Mesh
 from gensp.geometry.sphere import icosphere
 from gensp.methods.table import DEFAULT, per_shape
 
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+
+from fans import cylinder
+
 VALENCES = (250, 500, 1000, 2000, 4000)
-
-
-def cylinder(valence: int, rings: int) -> Mesh:
-    """A cylinder of radius 1 and height 2; the last two vertices have `valence` neighbours."""
-    angles = 2 * np.pi * np.arange(valence) / valence
-    rim = np.column_stack([np.cos(angles), np.sin(angles)])
-    heights = np.repeat(np.linspace(-1, 1, rings), valence)
-    vertices = np.column_stack([np.tile(rim, (rings, 1)), heights])
-    below = np.arange(valence * (rings - 1))
-    onward = below + np.where(below % valence == valence - 1, 1 - valence, 1)
-    quads = [[below, onward, onward + valence], [below, onward + valence, below + valence]]
-    low, beside, up = below[:valence], onward[:valence], valence * (rings - 1)
-    foot = np.full(valence, len(vertices))
-    fans = [[foot, beside, low], [foot + 1, low + up, beside + up]]
-    faces = np.concatenate([np.column_stack(part) for part in quads + fans])
-    return Mesh(np.concatenate([vertices, [[0, 0, -1.0], [0, 0, 1.0]]]), faces, "cylinder")
 
 
 def main() -> None:
