@@ -15,8 +15,6 @@ _REMEDIES = {
     "the model.pt of stage=finetune or initialize": "a model.pt that holds both",
     "run python train.py stage=finetune": "train one, or leave out --model",
     "name another folder with paths.runs=FOLDER": "name another place",
-    "try fit=register or a longer training for a closer start, or keep the folded map with "
-    "refine=none": "try another --method, or --register with a model",
     "write it again with stage=parameterize": "write it with gensp parameterize",
 }
 
